@@ -22,6 +22,7 @@ LAYERS = [
     {"_files", "_text_table"},
     {"elements"},
     {"mesh"},
+    {"contact"},
     {"materials"},
     {"fields"},
     {"bodies"},

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._module import Module, if_any
 from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.contact import AbstractShape
 from softcal_jax.mesh import TetMesh, node_indices
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -108,15 +109,19 @@ def _as_groups(where) -> tuple:
 class RigidBody(Module):
     """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
 
+    With a shape it is an obstacle, which the surface of the mesh cannot pass: a table,
+    a probe, an object that is held. An obstacle may have no nodes of its own.
+
     The coupling is exact: the body has six unknowns, its nodes have none. A tet whose
     nodes all belong to one body does not deform but keeps its weight. A configuration
     lets the body move freely, holds it, or hinges it about the third axis of its frame
-    (`BodyState`); a `Motor` turns it about that axis, too.
+    lets it slide along the third axis (`BodyState`); a `Motor` turns it about that axis.
 
     Attributes:
-        where: Its nodes: name of a node or surface group, several names, or indices.
-        origin: Origin of its frame at rest, through which a hinge passes; the mean of
-            its nodes by default [m].
+        where: Its nodes: name of a node or surface group, several names, or indices;
+            none for an obstacle that stands beside the robot.
+        origin: Origin of its frame at rest, through which a hinge passes; by default
+            the mean of its nodes, or that of the mesh frame without any [m].
         axes: Axes of the frame at rest, by rows; by default those of the mesh [-].
         mounting: Motion from its pose in the mesh to its pose as mounted, as when a
             flat sheet is bent onto motors; relative to the other body if tied.
@@ -124,10 +129,15 @@ class RigidBody(Module):
         mass: Mass in addition to that of its tets [kg].
         centre_of_mass: Position of that mass in the mesh at rest; the origin of the
             frame by default [m].
+        shape: Its shape as an obstacle; none by default.
+        friction: Coefficient of friction up to which what touches the obstacle sticks
+            to it; 0 lets it slide freely [-].
     """
 
     name: str
-    where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
+    where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(
+        converter=_as_groups, default=()
+    )
     origin: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     axes: Float[HostArray, "3 3"] | None = eqx.field(converter=optional, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
@@ -136,8 +146,20 @@ class RigidBody(Module):
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
         converter=optional, default=None
     )
+    shape: AbstractShape | None = None
+    friction: float = 0.0
 
     def __check_init__(self):
+        if not self.where and self.shape is None:
+            raise ValueError(
+                f"rigid body {self.name!r} has no nodes: give `where`, or the `shape` "
+                "of an obstacle."
+            )
+        if not 0.0 <= self.friction < np.inf or (self.friction and not self.shape):
+            raise ValueError(
+                f"friction of rigid body {self.name!r} must be finite and not negative, "
+                f"and needs a shape, got {self.friction:g}."
+            )
         for name in ("origin", "centre_of_mass"):
             if (value := getattr(self, name)) is not None:
                 three_numbers(f"{name} of rigid body {self.name!r}", "m", value)
@@ -174,27 +196,37 @@ class BodyState(Module):
     """State of a rigid body in a configuration.
 
     Attributes:
-        kind: "free", "held" or "hinged" (it only turns about its third axis).
-        pose: Imposed motion from its mounting; a hinge uses only the translation, a
-            free body nothing.
+        kind: "free", "held", "hinged" (it only turns about its third axis), "sliding"
+            (it only moves along that axis), or "absent", for an obstacle.
+        pose: Imposed motion from its mounting; a hinge or a slide uses only the
+            translation, a free or absent body nothing.
+        start: The pose before the load, from which a held, hinged or sliding body moves
+            to `pose` on a straight way; by default where it is at rest.
     """
 
     kind: str
     pose: Pose = eqx.field(default_factory=Pose)
+    start: Pose = eqx.field(default_factory=Pose)
 
     def __check_init__(self):
         check_known("state of a rigid body", KINDS, self.kind)
-        shift, turn = self.pose.translation.tolist(), self.pose.rotation_vector.tolist()
-        unused = {"free": shift + turn, "hinged": turn, "held": []}[self.kind]
-        if any(unused):
+        poses = self.pose, self.start
+        shift, turn = (
+            [value for pose in poses for value in getattr(pose, name).tolist()]
+            for name in ("translation", "rotation_vector")
+        )
+        unused = turn if self.kind in ("hinged", "sliding") else shift + turn
+        if self.kind != "held" and any(unused):
             raise ValueError(
-                f"a {self.kind} body ignores a part of its pose, with translation "
-                f"{shift} m and rotation vector {turn} rad. Hold it there with the "
-                "Pose itself, or turn a hinge by the axes or the mounting of its body."
+                f"a body that is {self.kind} ignores a part of its pose, with "
+                f"translation {self.pose.translation.tolist()} m and rotation vector "
+                f"{self.pose.rotation_vector.tolist()} rad, or of its start. Hold it "
+                "there with the Pose itself, or turn the axes or the mounting of its "
+                "body."
             )
 
 
-KINDS = ("free", "hinged", "held")
+KINDS = ("free", "hinged", "held", "sliding", "absent")
 """Kinds of states, in the order of the indices in `BodyStateArrays.kind`."""
 
 
@@ -236,6 +268,11 @@ class BodyArrays(Module):
         return len(self.names)
 
     @property
+    def has_nodes(self) -> Bool[HostArray, " n_b"]:
+        """Which bodies have nodes of the mesh; obstacles may have none."""
+        return (np.arange(self.n_bodies)[:, None] == self.body[None]).any(axis=1)
+
+    @property
     def tied(self) -> Bool[Array, " n_b"]:
         return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
 
@@ -270,7 +307,8 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
     weights, centres, origins, axes = [], [], [], []
     for b, n in zip(bodies, nodes, strict=True):
         points = mesh.points[n]
-        origins.append(points.mean(axis=0) if b.origin is None else b.origin)
+        middle = points.mean(axis=0) if len(n) else np.zeros(3)
+        origins.append(middle if b.origin is None else b.origin)
         axes.append(np.eye(3) if b.axes is None else b.axes)
         centre = origins[-1] if b.centre_of_mass is None else b.centre_of_mass
         weights.append(_affine(origins[-1], axes[-1], length, points))
@@ -299,6 +337,8 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
 def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
     what = f"rigid body {body.name!r}"
     groups = [node_indices(mesh, where, what) for where in body.where]
+    if not groups:
+        return np.zeros(0, int)
     nodes = np.unique(np.concatenate(groups))
     x = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
     spread = np.linalg.svd(x, compute_uv=False) if len(nodes) > 2 else np.zeros(3)
@@ -344,15 +384,29 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
 class BodyStateArrays(Module):
     """States of the bodies in a configuration: indices in `KINDS`, and poses.
 
-    The translation displaces held and hinged bodies from their mounting [m]; the
-    rotation vector turns held bodies only [rad].
+    The translation displaces held, hinged and sliding bodies from their mounting [m];
+    the rotation vector turns held bodies only [rad]. Both are reached at full load,
+    from those at the start.
     """
 
     kind: Int[Array | HostArray, "*batch n_b"]
     translation: Float[Array | HostArray, "*batch n_b 3"]
     rotation: Float[Array | HostArray, "*batch n_b 3"]
+    start_translation: Float[Array | HostArray, "*batch n_b 3"]
+    start_rotation: Float[Array | HostArray, "*batch n_b 3"]
+
+    def translation_at(self, load: Float[Array, ""]) -> Float[Array, "n_b 3"]:
+        """Return the translations at a share of the load [m]."""
+        start = (1.0 - load) * jnp.asarray(self.start_translation)
+        return start + load * jnp.asarray(self.translation)
+
+    def rotation_at(self, load: Float[Array, ""]) -> Float[Array, "n_b 3"]:
+        """Return the rotation vectors at a share of the load [rad]."""
+        start = (1.0 - load) * jnp.asarray(self.start_rotation)
+        return start + load * jnp.asarray(self.rotation)
 
     @property
-    def is_free(self) -> Bool[HostArray, "*batch n_b"]:
-        """Which bodies are neither held nor hinged."""
-        return np.asarray(self.kind) == KINDS.index("free")
+    def is_guided(self) -> Bool[HostArray, "*batch n_b"]:
+        """Which bodies are held, hinged or sliding."""
+        guided = [KINDS.index(kind) for kind in ("held", "hinged", "sliding")]
+        return np.isin(np.asarray(self.kind), guided)

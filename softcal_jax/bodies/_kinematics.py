@@ -22,7 +22,7 @@ from softcal_jax.bodies._body import (
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
 
-_HINGED = 2  # axis of a frame, of three, about which a hinge turns
+_GUIDED = 2  # axis of a frame, of three, about which a hinge turns, or a slide moves
 
 WIND = 0.05
 """Singular value of a screw below which its strain is no longer followed [-]."""
@@ -222,18 +222,18 @@ def place(
     frames: Frames,
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
-    """Move free and hinged bodies by their twists [m]; place all others as imposed."""
+    """Move bodies that are not held by their twists [m]; place others as imposed."""
     load, mounting, axes, home = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
     first = _apply(turned, axes[:, 0])
     about = lambda axis: jnp.sum(first * axes[:, axis], axis=1)
     displacements, angles = twist[:, :3], twist[:, 3:]
-    angle = jnp.arctan2(about(1), about(0)) + angles[:, _HINGED] / bodies.length
+    angle = jnp.arctan2(about(1), about(0)) + angles[:, _GUIDED] / bodies.length
     turns = [
         along(angles) / bodies.length,
         angle[:, None] * axes[:, 2],
-        load * state.rotation,
+        state.rotation_at(load),
     ]
     # One stacked call, since each separate one would be compiled again.
     by_twist, by_angle, by_pose = jax.vmap(jax.vmap(rotation_matrix))(jnp.stack(turns))
@@ -242,7 +242,11 @@ def place(
     )
     hinged = Frames(home, _product(by_angle, mounting))
     held = Frames(home, _product(by_pose, mounting))
+    slide = axes[:, _GUIDED]
+    way = jnp.sum(slide * (frames.origin - home), axis=1) + displacements[:, _GUIDED]
+    sliding = Frames(home + way[:, None] * slide, mounting)
     untied = hinged.where(state.kind == KINDS.index("hinged"), held)
+    untied = sliding.where(state.kind == KINDS.index("sliding"), untied)
     untied = free.where(state.kind == KINDS.index("free"), untied)
     # A tied body follows its owner, after its own mounting.
     rest = jnp.asarray(bodies.origin)
@@ -259,6 +263,7 @@ def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
 def blocked(state: BodyStateArrays, bodies: BodyArrays):
     """Flag the entries of the twists that are not unknowns."""
     kind = state.kind[:, None]
-    hinge = jnp.arange(6)[None] == 3 + _HINGED
-    free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
+    free = kind == KINDS.index("free")
+    for name, way in (("hinged", 3 + _GUIDED), ("sliding", _GUIDED)):
+        free = free | ((kind == KINDS.index(name)) & (jnp.arange(6)[None] == way))
     return ~free | bodies.tied[:, None]

@@ -39,6 +39,8 @@ from softcal_jax.configurations._effectors import (
     BodyAngle as BodyAngle,
     BodyFrame as BodyFrame,
     Centroid as Centroid,
+    ContactForce as ContactForce,
+    ContactMoment as ContactMoment,
     Observation as Observation,
     SupportReaction as SupportReaction,
 )
@@ -56,6 +58,7 @@ from softcal_jax.configurations._mechanism import (
     Mechanism as Mechanism,
     actuation_arrays as actuation_arrays,
     build_mechanism as build_mechanism,
+    standing as standing,
 )
 from softcal_jax.configurations._recording import (
     Recording as Recording,

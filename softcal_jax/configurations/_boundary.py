@@ -135,12 +135,16 @@ def check_held(
     """Raise unless all six rigid motions of the configuration `name` are blocked.
 
     The angle of a hinge needs something by which it is `balanced`: weight, a load, or
-    an actuator other than motors. `kind` are states of bodies, indices of `KINDS`.
+    an actuator other than motors. `kind` are states of bodies, indices of `KINDS`. What
+    obstacles hold depends on where they touch: with them, equilibrium has to tell.
     """
+    bodies, centre = mechanism.bodies, mesh.points.mean(axis=0)
+    obstacles = np.array(mechanism.contacts.body, int)
+    if np.any(kind[bodies.owner][obstacles] != KINDS.index("absent")):
+        return
     motors = [n for n, b in motors_of(mechanism) if kind[b] == KINDS.index("hinged")]
     if motors and balanced:
         kind = np.where(kind == KINDS.index("hinged"), KINDS.index("held"), kind)
-    bodies, centre = mechanism.bodies, mesh.points.mean(axis=0)
     size = np.abs(mesh.points - centre).max()
     motions = lambda x: np.concatenate(
         [
@@ -149,10 +153,12 @@ def check_held(
         ]
     )
     rows = [motions(mesh.points)[:, fixed]]
-    for k in np.flatnonzero(kind != KINDS.index("free")):
-        rows.append(motions(bodies.origin[k][None])[:, 0])
+    for k in np.flatnonzero((kind != KINDS.index("free")) & bodies.has_nodes):
+        shifts = motions(bodies.origin[k][None])[:, 0]
         turns = np.concatenate([np.zeros((3, 3)), bodies.axes[k].T])
-        rows.append(turns if kind[k] == KINDS.index("held") else turns[:, :2])
+        if kind[k] == KINDS.index("sliding"):
+            shifts = shifts @ bodies.axes[k].T[:, :2]
+        rows += [shifts, turns[:, :2] if kind[k] == KINDS.index("hinged") else turns]
     held = np.concatenate(rows, axis=1)
     rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
     if rank < 6:

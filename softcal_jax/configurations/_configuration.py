@@ -11,7 +11,7 @@ from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS, optional, three_numbers
+from softcal_jax.bodies import KINDS, BodyStateArrays, optional, three_numbers
 from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
@@ -37,7 +37,8 @@ from softcal_jax.configurations._effector import (
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import Mechanism
+from softcal_jax.configurations._mechanism import Mechanism, standing
+from softcal_jax.contact import depths_at_start
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -222,6 +223,7 @@ def _lane(
     others = set(c.actuation) - {name for name, _ in motors}
     balanced = bool(np.any(c.gravity) or c.loads or others)
     check_held(mesh, mechanism, fixed | sprung, kind, name=c.name, balanced=balanced)
+    _check_outside(mechanism, bodies, c.name)
     # Nodes of the bodies' frames come after those of the mesh.
     more = len(mechanism.points) - mesh.n_nodes
     all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
@@ -237,6 +239,24 @@ def _lane(
         actuation=actuation,
         effectors=effectors,
     )
+
+
+def _check_outside(
+    mechanism: Mechanism, bodies: BodyStateArrays, configuration: str
+) -> None:
+    """Raise where the body at rest lies in an obstacle that has not moved yet."""
+    contacts = mechanism.contacts
+    if contacts.n_obstacles == 0:
+        return
+    depths = depths_at_start(contacts, standing(mechanism, bodies))
+    for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
+        if depth > contacts.scale:
+            raise ValueError(
+                f"configuration {configuration!r}: before the load the body lies "
+                f"{1e3 * depth:.3g} mm inside the obstacle {name!r}. Let it start "
+                "beside the body: give the state of the obstacle another `start`, or "
+                "its body another origin."
+            )
 
 
 def _stiffened(

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -42,6 +42,12 @@ class _Reading(NamedTuple):
 
 def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
     return state.ground_forces[np.array(nodes, int)].sum(axis=0)
+
+
+def _contact(model, state, of: tuple[str, int, tuple[float, ...] | None]):
+    what, obstacle, axis = of
+    value = getattr(state.contacts[obstacle], what)
+    return value if axis is None else (value * np.array(axis)).sum()
 
 
 def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
@@ -152,6 +158,51 @@ class SupportReaction(AbstractEffector):
         reading = _Reading(_reaction, tuple(nodes.tolist()))
         row = EffectorRow(self.name, "reaction", "N", function=reading)
         return row.with_value(self.measured, self.std)
+
+
+class ContactForce(AbstractEffector):
+    """Force of the robot on an obstacle: the force sensor of a probe.
+
+    Attributes:
+        body: The obstacle, a rigid body with a shape.
+        axis: Direction along which the sensor measures; by default it measures all
+            three coordinates, in the frame of the mesh [-].
+        measured: Measured force, one number or three [N].
+        std: Its standard deviation [N].
+    """
+
+    name: str
+    body: str
+    axis: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
+    measured: float | Float[HostArray, "3"] | None = None
+    std: float = Unstated(1e-2)
+    quantity: ClassVar[tuple[str, str]] = "force", "N"
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        obstacle = _index_of(self.body, mechanism.contacts.names, "obstacle", self.name)
+        axis, (what, unit) = self.axis, self.quantity
+        if axis is not None:
+            axis = tuple(unit_vector(f"axis of effector {self.name!r}", axis).tolist())
+        reading = _Reading(_contact, (what, obstacle, axis))
+        n_values = 3 if axis is None else 1
+        row = EffectorRow(
+            self.name, "reaction", unit, function=reading, n_values=n_values
+        )
+        return row.with_value(self.measured, self.std)
+
+    def measured_as(self, values: Readings, mechanism: Mechanism) -> "ContactForce":
+        value = values[0] if self.axis is None else float(values[0, 0])
+        return replace(self, measured=value)
+
+
+class ContactMoment(ContactForce):
+    """Moment of the robot on an obstacle about the origin of its frame [N m].
+
+    Its attributes are those of `ContactForce`.
+    """
+
+    std: float = Unstated(1e-4)
+    quantity: ClassVar[tuple[str, str]] = "moment", "N m"
 
 
 class BodyAngle(AbstractScalar):
@@ -296,7 +347,7 @@ def _with_bodies(
     inside, whole = np.isin(bodies.attached, nodes), set()
     for k, body in enumerate(bodies.names):
         of_body = inside[bodies.body == k]
-        if of_body.all():
+        if of_body.size and of_body.all():
             whole.add(k)
         elif of_body.any():
             raise ValueError(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax import bodies as rigid
@@ -16,6 +17,7 @@ from softcal_jax.actuators import (
     actuator_displacements,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
+from softcal_jax.contact import Contacts, Obstacle, Standing, build_contacts
 from softcal_jax.mesh import TetMesh
 
 
@@ -27,6 +29,7 @@ class Mechanism(Module):
     Attributes:
         points: All nodes at rest, the frame nodes of the bodies last [m].
         bodies: The rigid bodies.
+        contacts: Which of them are obstacles, and the surface that they may touch.
         actuators: The actuators.
         motor_zero: Zero error of each motor, added to the angle of its encoder [rad];
             0 for other actuators.
@@ -34,6 +37,7 @@ class Mechanism(Module):
 
     points: Float[HostArray, "n_points 3"]
     bodies: rigid.BodyArrays
+    contacts: Contacts
     actuators: ActuatorArrays
     motor_zero: Float[Array, " n_a"]
 
@@ -55,10 +59,12 @@ def build_mechanism(
     actuators: Sequence[AbstractActuator] = (),
     *,
     at_rest: bool = True,
+    contact_scale: float | None = None,
 ) -> Mechanism:
     """Stack the rigid bodies and actuators of a mesh at rest.
 
-    To check or to draw actuators, `at_rest` is not needed, see `actuator_arrays`.
+    To check or to draw actuators, `at_rest` is not needed, see `actuator_arrays`; for
+    the scale of contact see `build_contacts`.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -89,7 +95,15 @@ def build_mechanism(
         turned[body] = name
     # Not jnp.zeros, which would compile a program for every number.
     zeros = jax.device_put(np.zeros(len(arrays.names)))
-    return Mechanism(points, stacked, arrays, zeros)
+    obstacles = [
+        Obstacle(k, b.name, b.shape, b.friction, stacked.attached[stacked.body == k])
+        for k, b in enumerate(bodies)
+        if b.shape is not None
+    ]
+    contacts = build_contacts(
+        mesh, points, obstacles, length=stacked.length, scale=contact_scale
+    )
+    return Mechanism(points, stacked, contacts, arrays, zeros)
 
 
 class ImposedForce(Module):
@@ -179,6 +193,8 @@ def body_state_arrays(
 ) -> rigid.BodyStateArrays:
     """Stack the states of the rigid bodies; those not named are free.
 
+    An obstacle without nodes of its own is held unless something else is said.
+
     A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
 
     Raises:
@@ -186,9 +202,9 @@ def body_state_arrays(
     """
     bodies = mechanism.bodies
     what = f"configuration {configuration!r}"
-    kind = np.zeros(bodies.n_bodies, np.int32)
-    translation = np.zeros((bodies.n_bodies, 3))
-    rotation = np.zeros((bodies.n_bodies, 3))
+    free, held = map(rigid.KINDS.index, ("free", "held"))
+    kind = np.where(bodies.has_nodes, free, held).astype(np.int32)
+    places = np.zeros((4, bodies.n_bodies, 3))
     for name, given in states.items():
         check_known(f"rigid body of {what}", bodies.names, name)
         k = bodies.names.index(name)
@@ -207,7 +223,27 @@ def body_state_arrays(
             state = rigid.BodyState("held", given)
         else:
             state = rigid.BodyState(given) if isinstance(given, str) else given
+        if state.kind == "absent" and bodies.has_nodes[k]:
+            raise ValueError(
+                f"{what}: rigid body {name!r} has nodes of the mesh and cannot be "
+                "absent; only an obstacle beside the robot can."
+            )
         kind[k] = rigid.KINDS.index(state.kind)
-        translation[k] = state.pose.translation
-        rotation[k] = state.pose.rotation_vector
-    return rigid.BodyStateArrays(kind, translation, rotation)
+        for i, pose in enumerate((state.pose, state.start)):
+            places[2 * i, k], places[2 * i + 1, k] = (
+                pose.translation,
+                pose.rotation_vector,
+            )
+    return rigid.BodyStateArrays(kind, *places)
+
+
+def standing(mechanism: Mechanism, states: rigid.BodyStateArrays) -> Standing:
+    """Return how the obstacles stand in a configuration."""
+    bodies, which = mechanism.bodies, np.array(mechanism.contacts.body, int)
+    kind = jnp.asarray(states.kind)[bodies.owner]
+    frames = rigid.Frames(
+        jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
+        jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
+    )
+    ends = rigid.frame_nodes(bodies, frames)
+    return Standing(kind[which] != rigid.KINDS.index("absent"), ends[which])

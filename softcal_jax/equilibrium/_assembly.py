@@ -92,6 +92,17 @@ def _by_tet(model: Model, blocks: T) -> T:
     return jax.tree.map(joined, blocks)
 
 
+def shear_moduli(model: Model) -> Float[Array, " n_tets"]:
+    """Compute the mean shear modulus of each tet at rest [Pa]."""
+    rest = jnp.zeros((model.mesh.n_nodes, 3))
+    return _by_tet(model, _map_blocks(model, rest, _shear_modulus))
+
+
+def _shear_modulus(u, tet):
+    C, (i, j) = tet.law.tangent(jnp.eye(3)), np.triu_indices(3, 1)
+    return jnp.mean(C[i, j, i, j])
+
+
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
     return _by_tet(model, _map_blocks(model, u, element_stresses))

@@ -203,6 +203,7 @@ def unbalanced(posed: Posed, point: Point, lambda_a: Float[Array, " n_a"]):
     rows = actuator_rows(posed.model.mechanism.actuators, x)
     forces = actuator_loads(posed, lambda_a)
     g = point.force - posed.load * posed.f_ext + posed.spring_force(point.u)
+    g = g + posed.contact_force(point.u)
     if len(forces) > 0:
         g = g - jnp.sum(forces[:, None, None] * rows, axis=0)
     return g, rows
@@ -219,8 +220,9 @@ def rows_on_free(
 def nodal_tangent(
     posed: Posed, u: Nodal, lambda_a: Float[Array, " n_a"], mesh: Float[Array, " nnz"]
 ) -> Float[Array, " nnz"]:
-    """Add actuators and springs to the tangent of the mesh over all nodes [N/m]."""
+    """Add actuators, springs and contact to the tangent of the mesh [N/m]."""
     model, nodal = posed.model, posed.spring_tangent(mesh)
+    nodal = posed.contact_tangent(u, nodal)
     actuators = model.mechanism.actuators
     loads = actuator_loads(posed, lambda_a)
     # d(F_a^T lambda_a)/dx

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ from softcal_jax.actuators import AbstractActuator, clique_nodes
 from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
+from softcal_jax.equilibrium._assembly import shear_moduli
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model, check_fields, check_law, to_blocks
@@ -44,6 +46,7 @@ def build_model(
     actuators: Sequence[AbstractActuator] = (),
     formulation: Literal["auto"] | Formulation = "auto",
     solver: str | None = None,
+    contact_scale: float | None = None,
 ) -> Model:
     """Prepare a model for equilibrium: shape gradients, sparsity, symbolic analysis.
 
@@ -69,6 +72,9 @@ def build_model(
             the platform; or "pardiso-host", the default where JAX computes on a GPU
             (extra `gpu`). "none" prepares none: such a model can be looked at, not
             solved.
+        contact_scale: Thickness of the cushion between the body and obstacles, see
+            `softcal_jax.contact`; the error of contact is in proportion to it. By
+            default a fiftieth of the mean size of the surface's faces [m].
 
     Warns:
         MeshWarning: If the mesh is so large that its coordinates may be in mm.
@@ -86,7 +92,9 @@ def build_model(
     check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
     solved = kind is not NoSolver
-    mechanism = build_mechanism(mesh, bodies, actuators, at_rest=solved)
+    _check_scale(contact_scale)
+    options = {"at_rest": solved, "contact_scale": contact_scale}
+    mechanism = build_mechanism(mesh, bodies, actuators, **options)
     check_mesh(mesh, linked=_linked(mechanism))
     across = float(np.ptp(mesh.points, axis=0).max())
     if across > LONGEST:
@@ -147,18 +155,18 @@ def _prepared(
     rigid = _within_one_body(mesh, mechanism)
     active = np.arange(n_blocks * BLOCK) < n_tets
     active[:n_tets] &= ~rigid
-    curved = clique_nodes(mechanism.actuators)
-    cliques = (mesh.tets, *curved)
+    curved, touching = clique_nodes(mechanism.actuators), mechanism.contacts.cliques()
+    cliques = (mesh.tets, *curved, *touching)
     pattern = build_sparsity(cliques, len(mechanism.points), symmetric=conservative)
     reduction, unknowns = None, pattern
     if mechanism.bodies.n_bodies > 0:
-        deforming = (mesh.tets[~rigid], *curved)
+        deforming = (mesh.tets[~rigid], *curved, *touching)
         reduction = build_reduction(pattern, deforming, mechanism.bodies)
         unknowns = reduction.reduced
     rule = tet_rule(2 if n_en == 4 else 4)
     _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
     node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
-    return Model(
+    model = Model(
         mesh=mesh,
         law=law,
         density=density,
@@ -171,10 +179,22 @@ def _prepared(
         node_volumes=jax.device_put(node_volumes),
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
+        contact_at=tuple(destinations(pattern, nodes) for nodes in touching),
         reduction=reduction,
         solver=solver.analyse(unknowns),
         formulation=formulation,
     )
+    if not touching:
+        return model
+    E = 3.0 * jnp.mean(shear_moduli(model))  # of a body that keeps its volume
+    return eqx.tree_at(lambda m: m.mechanism.contacts.stiffness, model, E)
+
+
+def _check_scale(scale: float | None) -> None:
+    if scale is not None and not 0.0 < scale < np.inf:
+        raise ValueError(
+            f"contact_scale must be positive and finite [m], got {scale:g}."
+        )
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:

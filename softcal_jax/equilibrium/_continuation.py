@@ -236,6 +236,7 @@ class _QuickSteps(NamedTuple):
         # Without that count, the guess is an equilibrium or the step is wasted.
         stable = factor.ok & (factor.n_negative <= 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
+        sound = sound & ~posed.passes_through(s.point.u, new.u)
         arrived = sound & residual.settled(rtol)
         falls = residual.size <= last.size
         steps = s.steps + anew.astype(s.steps.dtype)

@@ -209,6 +209,7 @@ def line_search(
         inside_out = (new.min_det_F <= 0.0) & (point.min_det_F > 0.0)
         inside_out = inside_out & (~moving | ~strict)
         good = (enough | moving | ~strict) & new.finite & ~inside_out
+        good = good & ~posed.passes_through(point.u, new.u)
         return LineSearchTrial(new, lambda_a, size, good)
 
     def keep_trying(carry):
@@ -257,7 +258,7 @@ def _lower(posed: Posed, point: Point, direction: NewtonDirection, reference):
 def _potential(posed: Posed, point: Point):
     """Compute Pi at a point, and the scale of its rounding [J]."""
     work = posed.load * posed.f_ext * point.u
-    springs = posed.spring_energy(point.u)
+    springs = posed.spring_energy(point.u) + posed.contact_energy(point.u)
     value, scale = point.energy + springs - jnp.sum(work), point.energy_scale + springs
     scale = scale + jnp.sum(jnp.abs(work))
     forces = posed.configuration.actuation.forces

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
+from softcal_jax.contact import ContactReading
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
@@ -52,6 +53,7 @@ class ObservedState(NamedTuple):
         actuator_displacements: delta_a of all actuators, in their units.
         body_rotations: Rotations of rigid bodies from rest, as matrices [-].
         ground_forces: Forces with which the ground holds the nodes [N].
+        contacts: What each obstacle feels, in the order of `Mechanism.contacts`.
     """
 
     displacement: Nodal
@@ -59,6 +61,7 @@ class ObservedState(NamedTuple):
     actuator_displacements: Float[Array, " n_a"]
     body_rotations: Float[Array, "n_b 3 3"]
     ground_forces: Nodal
+    contacts: tuple[ContactReading, ...]
 
 
 def observed_state(
@@ -77,6 +80,7 @@ def observed_state(
         multipliers = solved_forces(model, configuration, u)
     if unbalanced is None:
         unbalanced = residual(model, configuration, u, multipliers)
+    posed = Posed.of(model, configuration)
     return ObservedState(
         displacement=u,
         actuator_forces=actuator_forces(
@@ -85,7 +89,8 @@ def observed_state(
         actuator_displacements=model.displacements(u),
         body_rotations=model.frames(u).rotation,
         # Spring forces are part of the balance, but the ground carries them too.
-        ground_forces=unbalanced - Posed.of(model, configuration).spring_force(u),
+        ground_forces=unbalanced - posed.spring_force(u),
+        contacts=posed.contact_readings(u),
     )
 
 

@@ -39,6 +39,7 @@ class Model(Module):
             whose nodes all belong to one rigid body.
         pattern: Sparsity of the tangent over all nodes.
         curvature_at: Positions in the pattern of the actuators' tangents.
+        contact_at: Positions in the pattern of the tangents of contact.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
@@ -55,6 +56,7 @@ class Model(Module):
     node_volumes: Float[Array, "n_tets n_en"]
     pattern: Sparsity
     curvature_at: tuple[Int[HostArray, "_ _"], ...]
+    contact_at: tuple[Int[HostArray, "_ _"], ...]
     reduction: Reduction | None
     solver: AbstractLinearSolver
     formulation: Formulation = eqx.field(static=True)

@@ -5,6 +5,7 @@ nodes by d, the nodes of a body by the exact rigid motion of its twist, and held
 and bodies to their imposed positions.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -30,6 +31,17 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
     configuration_arrays,
+    standing,
+)
+from softcal_jax.contact import (
+    ContactReading,
+    Contacts,
+    Standing,
+    contact_energy,
+    contact_force,
+    contact_readings,
+    contact_stiffness,
+    passes_through,
 )
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model, Nodal
@@ -57,7 +69,7 @@ def _body_states(
             kind = kind.at[body].set(motor_kind.astype(kind.dtype))
             turned = jnp.where(by_angle, angle, 0.0) * mounted.axes[body, 2]
             rotation = rotation.at[body].set(turned)
-    return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
+    return replace(state, kind=kind, rotation=rotation)
 
 
 def _arms_from_supports(
@@ -81,7 +93,8 @@ def _arms_from_supports(
         return jnp.where(n > 0.0, total / jnp.maximum(n, 1.0), otherwise)
 
     origin, itself = jnp.asarray(bodies.origin), jnp.eye(bodies.n_bodies, dtype=bool)
-    others = (states.kind == KINDS.index("held"))[None] & ~itself
+    fixed = (states.kind == KINDS.index("held")) & bodies.has_nodes
+    others = fixed[None] & ~itself
     base = mean(points, held[None], mean(origin, others, origin))
     return jnp.where(turned_by_motors(model)[:, None], 0.0, origin - base)
 
@@ -126,7 +139,7 @@ class Posed(NamedTuple):
             return cls(model, configuration, f_ext, held.ravel(), load)
         frames = mounted(model.mechanism.bodies, load)
         states = _body_states(model, configuration, frames)
-        frames = frames._replace(home=frames.home + load * states.translation)
+        frames = frames._replace(home=frames.home + states.translation_at(load))
         twists = blocked(states, model.mechanism.bodies)
         held = held.at[plan.rigid].set(True)
         fixed = jnp.concatenate([held.ravel(), twists.ravel()])
@@ -141,7 +154,10 @@ class Posed(NamedTuple):
         moved = jnp.asarray(self.states.translation)
         turned = jnp.asarray(self.states.rotation)
         wound = jax.vmap(winding, (0, 0, 0, None))(self.arms, moved, turned, load)
-        home = frames.home + load * moved + wound
+        # An obstacle without nodes bends nothing, and moves on a straight way.
+        straight = ~self.model.mechanism.bodies.has_nodes[:, None]
+        wound = jnp.where(straight, 0.0, wound)
+        home = frames.home + self.states.translation_at(load) + wound
         return self._replace(load=load, mounted=frames._replace(home=home))
 
     @property
@@ -184,6 +200,53 @@ class Posed(NamedTuple):
     def spring_energy(self, u: Nodal) -> Float[Array, ""]:
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
+
+    @property
+    def contacts(self) -> Contacts:
+        return self.model.mechanism.contacts
+
+    @property
+    def standing(self) -> Standing:
+        """How the obstacles stand."""
+        assert self.states is not None
+        return standing(self.model.mechanism, self.states)
+
+    def contact_force(self, u: Nodal) -> Nodal:
+        """Compute the forces of the nodes on the cushion of the obstacles [N]."""
+        if self.contacts.n_obstacles == 0:
+            return jnp.zeros_like(u)
+        return contact_force(self.contacts, self.model.positions(u), self.standing)
+
+    def contact_energy(self, u: Nodal) -> Float[Array, ""]:
+        if self.contacts.n_obstacles == 0:
+            return jnp.zeros(())
+        return contact_energy(self.contacts, self.model.positions(u), self.standing)
+
+    def contact_tangent(
+        self, u: Nodal, values: Float[Array, " nnz"]
+    ) -> Float[Array, " nnz"]:
+        """Add contact to the tangent over all nodes [N/m]."""
+        if self.contacts.n_obstacles == 0:
+            return values
+        x, pattern = self.model.positions(u), self.model.pattern
+        stiffness = contact_stiffness(self.contacts, x, self.standing)
+        for matrices, places in zip(stiffness, self.model.contact_at, strict=True):
+            p, q = element_entries(matrices.shape[1] // 3, pattern.symmetric)
+            values = values.at[places].add(matrices[:, p, q].T)
+        return values
+
+    def contact_readings(self, u: Nodal) -> tuple[ContactReading, ...]:
+        """Compute what each obstacle feels."""
+        if self.contacts.n_obstacles == 0:
+            return ()
+        return contact_readings(self.contacts, self.model.positions(u), self.standing)
+
+    def passes_through(self, before: Nodal, after: Nodal) -> Bool[Array, ""]:
+        """Tell whether the surface comes too deep into an obstacle on its way."""
+        if self.contacts.n_obstacles == 0:
+            return jnp.zeros((), bool)
+        ends = map(self.model.positions, (before, after))
+        return passes_through(self.contacts, *ends, self.standing)
 
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].

@@ -28,7 +28,7 @@ class BodyPlace(Module):
     """Pose of a rigid body at equilibrium.
 
     Attributes:
-        state: "free", "hinged", "held", or "tied" to another body.
+        state: One of `bodies.KINDS`, or "tied" to another body.
         position: Origin of its frame [m].
         translation: How far the origin has moved from rest [m].
         rotation_vector: Rotation from rest [rad].
@@ -67,8 +67,27 @@ class Reaction(Module):
     force: Float[HostArray, "3"]
 
 
+class ContactState(Module):
+    """What an obstacle feels at an equilibrium.
+
+    Attributes:
+        force: Force of the robot on it [N].
+        moment: Its moment about the origin of the frame of the obstacle [N m].
+        area: Area at rest of the surface that presses on it [m2].
+        depth: How deep the surface lies in it at most [m].
+        sliding: Share of the area where friction could not hold what sticks [-].
+    """
+
+    name: str
+    force: Float[HostArray, "3"]
+    moment: Float[HostArray, "3"]
+    area: float
+    depth: float
+    sliding: float
+
+
 class RobotState(Module):
-    """Rigid bodies, actuators and reactions at an equilibrium.
+    """Rigid bodies, actuators, reactions and contacts at an equilibrium.
 
     Attributes:
         reactions: Of supports, then of rigid bodies that are held or turn on a hinge.
@@ -78,6 +97,7 @@ class RobotState(Module):
     bodies: tuple[BodyPlace, ...]
     actuators: tuple[ActuatorState, ...]
     reactions: tuple[Reaction, ...]
+    contacts: tuple[ContactState, ...]
     displacement: Float[HostArray, "n_points 3"]
 
 
@@ -137,7 +157,13 @@ def _state(
         Reaction(name, of_nodes(model, lane, state))
         for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
-    return RobotState(tuple(places), actuators, tuple(reactions), u)
+    contacts = tuple(
+        ContactState(name, felt.force, felt.moment, *map(float, felt[2:]))
+        for name, felt in zip(
+            model.mechanism.contacts.names, state.contacts, strict=True
+        )
+    )
+    return RobotState(tuple(places), actuators, tuple(reactions), contacts, u)
 
 
 def actuator_states(
@@ -177,7 +203,7 @@ def _grounds(
         name = str(support.where) if named else f"support {i}"
         grounds[name] = reaction(support.where).function
     for k, kind in enumerate(kinds):
-        if kind in ("held", "hinged"):
+        if kind in ("held", "hinged", "sliding") and bodies.has_nodes[k]:
             name = bodies.names[k]
             attached = bodies.attached[bodies.body == k]
             key = f"rigid body {name}" if name in grounds else name

@@ -58,11 +58,11 @@ def each_of(names: Sequence[str], has: Bool[HostArray, "n_c n"]) -> dict[str, Sc
 
 
 def grounded_bodies(poses: Poses) -> Bool[HostArray, "n_c n_b"]:
-    """Flag the bodies that are held, hinged or on a motor, or tied to such a body."""
+    """Flag bodies that are held, guided or on a motor, or tied to such a body."""
     mechanism = poses.model.mechanism
     bodies = mechanism.bodies
     driven = np.isin(np.arange(bodies.n_bodies), mechanism.actuators.motor_body)
-    return (~poses.arrays.bodies.is_free | driven)[:, bodies.owner]
+    return (poses.arrays.bodies.is_guided | driven)[:, bodies.owner]
 
 
 class Quantity(NamedTuple):

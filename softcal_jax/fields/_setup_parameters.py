@@ -18,12 +18,15 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
+from softcal_jax.bodies import KINDS
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import (
     QUANTITIES,
     By,
     Change,
+    Poses,
     Quantity,
+    Scope,
     SetupParameter,
     actuators_where,
     each_of,
@@ -69,6 +72,8 @@ class Uncertain(Module):
             "estimated" takes it from how far recordings differ, where there are enough.
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
+        contact: Error of the cushion on obstacles, in units of its scale, see
+            `softcal_jax.contact` [-]. One error for all configurations.
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
             configurations, see `mesh_row`. Zero for data that are simulated on the
             same mesh.
@@ -84,6 +89,7 @@ class Uncertain(Module):
     recordings: float | Literal["estimated"] = _std(OFFSET, "m")
     zeros: float = _std(0.5 * DEGREE, "rad")
     mountings: float = _std(0.5e-3, "m")
+    contact: float = _std(1.0)
     mesh: float = _std(1.0)
 
     @property
@@ -153,6 +159,24 @@ def mounting(
     return setup_parameters(
         "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
     )
+
+
+def _obstacles(poses: Poses) -> Mapping[str, Scope]:
+    bodies = poses.model.mechanism.bodies
+    which = list(poses.model.mechanism.contacts.body)
+    kind = np.asarray(poses.arrays.bodies.kind)[:, bodies.owner][:, which]
+    stands = np.any(kind != KINDS.index("absent"), axis=1)
+    return {"": tuple("" if some else None for some in stands)} if which else {}
+
+
+QUANTITIES["contact_scale"] = Quantity(
+    "scale of contact",
+    entry_of("mechanism.contacts.scale"),
+    relative=True,
+    unit="m",
+    uncertain="contact",
+    occurs=_obstacles,
+)
 
 
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:

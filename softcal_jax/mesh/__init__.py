@@ -53,6 +53,7 @@ from softcal_jax.mesh._topology import (
     Tessellation as Tessellation,
     boundary_faces as boundary_faces,
     boundary_tets as boundary_tets,
+    face_areas as face_areas,
     face_indices as face_indices,
     face_products as face_products,
     face_shares as face_shares,

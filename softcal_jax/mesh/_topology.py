@@ -140,7 +140,7 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
     return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0
 
 
-def _face_areas(
+def face_areas(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
 ) -> tuple[Float[HostArray, "n_faces n_qp"], Float[HostArray, "n_qp n_fn"]]:
     """Return areas of quadrature points of faces at rest [m2], and shape functions."""
@@ -155,7 +155,7 @@ def face_shares(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
 ) -> Float[HostArray, "n_faces n_fn"]:
     """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
-    area, N = _face_areas(mesh, faces)
+    area, N = face_areas(mesh, faces)
     return area @ N
 
 
@@ -163,7 +163,7 @@ def face_products(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
 ) -> Float[HostArray, "n_faces n_fn n_fn"]:
     """Integrate N_a N_b over each face at rest [m2]; rows sum to `face_shares`."""
-    area, N = _face_areas(mesh, faces)
+    area, N = face_areas(mesh, faces)
     return np.einsum("fq,qa,qb->fab", area, N, N)
 
 

@@ -1,0 +1,25 @@
+"""Contact of the body with obstacles: their shapes, and the potential between them."""
+
+from softcal_jax.contact._contacts import (
+    ContactReading as ContactReading,
+    Contacts as Contacts,
+    Obstacle as Obstacle,
+    Standing as Standing,
+    build_contacts as build_contacts,
+    contact_energy as contact_energy,
+    contact_force as contact_force,
+    contact_readings as contact_readings,
+    contact_stiffness as contact_stiffness,
+    depths_at_start as depths_at_start,
+    passes_through as passes_through,
+)
+from softcal_jax.contact._shapes import (
+    AbstractShape as AbstractShape,
+    Ball as Ball,
+    Capsule as Capsule,
+    DistanceGrid as DistanceGrid,
+    HalfSpace as HalfSpace,
+    RoundedBox as RoundedBox,
+    RoundedCylinder as RoundedCylinder,
+    read_surface as read_surface,
+)

@@ -1,0 +1,393 @@
+"""Frictionless contact of the surface of the body with obstacles, by a potential.
+
+Each quadrature point of the faces of the body, with the area A at rest and the distance
+g from an obstacle, adds A E phi(d) to the potential energy, where d = s / 2 - g is how
+far it has come into a cushion on the obstacle. With the scale s,
+
+    phi(d) = d^3 / (12 s^2)                      where 0 < d < 2 s,
+             d^2 / (2 s) - d + 2 s / 3           where d >= 2 s,
+
+and p = E phi'(d) is the pressure: E / 16 where surfaces coincide, 0.56 E at the depth
+s. It is a penalty that is linear in depth, with a smooth onset so that the tangent is
+continuous (compare Wriggers, Computational Contact Mechanics, 2006, ch. 6 and 10). The
+usual pressures of soft bodies are about that at g = 0, and the error is in proportion
+to s. Sticking friction holds points by springs along the surface that are as stiff,
+from where they came in touch.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.contact._shapes import AbstractShape
+from softcal_jax.mesh import TetMesh, boundary_faces, face_areas
+
+BLOCK = 16  # faces whose tangents are computed together, where one of them is touched
+
+_SAMPLES = 8  # states on the way of a step at which points are looked for inside
+
+FINE = 0.02
+"""Scale of contact, relative to the mean size of the faces of the body [-]."""
+
+
+class Contacts(Module):
+    """The faces of the body, and the obstacles that they may touch.
+
+    Points of a face are its quadrature points. Faces are padded to whole blocks.
+
+    Attributes:
+        faces: Nodes of the faces; only there if there are obstacles.
+        areas: Area of each point at rest; zero where an obstacle holds the face [m2].
+        shape_functions: Those of a face at its points [-].
+        rest: Positions of all nodes at rest [m].
+        frames: Nodes of the frame of each obstacle.
+        length: Length of its axes [m].
+        depth: How deep a point may come into each obstacle [m].
+        stiffness: The modulus E of the pressure [Pa].
+        scale: The length s; surfaces feel each other at half of it [m].
+        shapes: The shapes of the obstacles.
+        body: Index of the rigid body of each.
+        names: Its name.
+        friction: Coefficient of friction up to which points stick to each; 0 lets them
+            slide [-].
+    """
+
+    faces: Int[HostArray, "n_faces n_fn"]
+    areas: Float[HostArray, "n_obstacles n_faces n_qp"]
+    shape_functions: Float[HostArray, "n_qp n_fn"]
+    rest: Float[HostArray, "n_points 3"]
+    frames: Int[HostArray, "n_obstacles 4"]
+    length: Float[HostArray, ""]
+    depth: Float[HostArray, " n_obstacles"]
+    stiffness: Float[Array, ""]
+    scale: Float[Array, ""]
+    shapes: tuple[AbstractShape, ...]
+    body: tuple[int, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    friction: tuple[float, ...] = eqx.field(static=True)
+
+    @property
+    def n_obstacles(self) -> int:
+        return len(self.body)
+
+    def cliques(self) -> tuple[Int[HostArray, "n_faces _"], ...]:
+        """List the nodes that each obstacle couples: those of a face and its frame."""
+        spread = lambda nodes: np.broadcast_to(nodes, (len(self.faces), 4))
+        return tuple(
+            np.concatenate([self.faces, spread(nodes)], axis=1).astype(np.int32)
+            for nodes in self.frames
+        )
+
+
+class Obstacle(NamedTuple):
+    """What is needed of a rigid body with a shape: see `bodies.RigidBody`."""
+
+    body: int
+    name: str
+    shape: AbstractShape
+    friction: float
+    nodes: Int[HostArray, " n"]
+
+
+class Standing(NamedTuple):
+    """How the obstacles of a configuration stand.
+
+    Attributes:
+        present: Which obstacles are there.
+        start: Nodes of the frame of each before the load [m].
+    """
+
+    present: Bool[Array, " n_obstacles"]
+    start: Float[Array, "n_obstacles 4 3"]
+
+
+def build_contacts(
+    mesh: TetMesh,
+    points: Float[HostArray, "n_points 3"],
+    obstacles: Sequence[Obstacle],
+    *,
+    length: Float[HostArray, ""],
+    scale: float | None,
+) -> Contacts:
+    """Collect the faces of a mesh and the obstacles; arrays are empty without any.
+
+    Its stiffness is one until the law is known. The scale is by default `FINE` of the
+    mean size of a face [m].
+    """
+    n_obstacles = len(obstacles)
+    faces = boundary_faces(mesh)[: None if obstacles else 0]
+    areas, N = face_areas(mesh, faces)
+    if scale is None:
+        mean = np.sqrt(2.0 * areas.sum() / max(1, len(faces)))
+        scale = FINE * float(mean) if obstacles else 1.0
+    pad = -len(faces) % BLOCK
+    apart = [~np.isin(faces, o.nodes).all(axis=1) for o in obstacles]
+    of_each = np.reshape(apart, (n_obstacles, -1, 1)) * areas
+    to_array = lambda leaf: jnp.asarray(leaf, float)
+    return Contacts(
+        faces=np.concatenate([faces, np.repeat(faces[:1], pad, axis=0)]),
+        areas=np.pad(of_each, ((0, 0), (0, pad), (0, 0))),
+        shape_functions=N,
+        rest=points,
+        frames=np.reshape(
+            [mesh.n_nodes + 4 * o.body + np.arange(4) for o in obstacles], (-1, 4)
+        ).astype(np.int32),
+        length=length,
+        depth=np.array([o.shape.depth for o in obstacles], float),
+        stiffness=jax.device_put(np.ones(())),
+        scale=jax.device_put(np.asarray(scale, float)),
+        shapes=tuple(jax.tree.map(to_array, o.shape) for o in obstacles),
+        body=tuple(o.body for o in obstacles),
+        names=tuple(o.name for o in obstacles),
+        friction=tuple(o.friction for o in obstacles),
+    )
+
+
+def _cushion(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
+    """Compute phi of the module's docstring [m]."""
+    near = jnp.clip(d, 0.0, 2.0 * s)
+    far = jnp.maximum(d, 2.0 * s) / s
+    return jnp.where(
+        d < 2.0 * s, near**3 / (12.0 * s**2), s * (far**2 / 2 - far + 2 / 3)
+    )
+
+
+def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
+    """Compute phi'(d) [-]."""
+    near = jnp.clip(d, 0.0, 2.0 * s)
+    return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
+
+
+def _grip(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
+    """Compute the share of a point that the obstacle has taken hold of [-]."""
+    q = jnp.clip(d / (2.0 * s), 0.0, 1.0)
+    return q**2 * (3.0 - 2.0 * q)
+
+
+def _local(
+    x: Float[Array, "n 3"], frame: Float[Array, "4 3"], length: Float[HostArray, ""]
+) -> Float[Array, "n 3"]:
+    """Return the coordinates of points in a frame, from the nodes of that [m]."""
+    axes = (frame[1:] - frame[:1]) / length
+    return jnp.sum((x - frame[0])[:, None] * axes[None], axis=2)
+
+
+def _points(contacts: Contacts, nodes: Float[Array, "n_fn 3"]) -> Float[Array, "_ 3"]:
+    N = jnp.asarray(contacts.shape_functions)
+    return jnp.sum(N[:, :, None] * nodes[None], axis=1)
+
+
+class _Point(NamedTuple):
+    """A point of the body near an obstacle, in the frame of that [m].
+
+    `cushion` is how far it has come into the cushion on the obstacle, and `slip` how
+    far it has moved along the surface since, if it moved there on a straight line.
+    """
+
+    cushion: Float[Array, ""]
+    slip: Float[Array, "3"]
+
+
+def _point(shape: AbstractShape, s, y, start) -> _Point:
+    gap, normal = jax.value_and_grad(shape.distance)(y)
+    cushion = 0.5 * s - gap
+    # How far it was outside of the cushion at the start, and how far it is inside.
+    outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
+    inside = jnp.maximum(cushion, 1e-9 * s)
+    way = inside / (outside + inside) * (y - start)
+    return _Point(cushion, way - normal * jnp.sum(normal * way))
+
+
+def _face_energy(
+    contacts: Contacts,
+    k: int,
+    z: Float[Array, "m 3"],
+    area: Float[Array, " n_qp"],
+    start: Float[Array, "m 3"],
+) -> Float[Array, ""]:
+    """Compute the energy between a face and the obstacle `k` [J].
+
+    `z` are the positions of the nodes of the face, then of the frame, and `start` those
+    before the load.
+    """
+    shape, s = contacts.shapes[k], contacts.scale
+    local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
+    if contacts.friction[k] == 0.0:
+        energy = _cushion(0.5 * s - jax.vmap(shape.distance)(local(z)), s)
+    else:
+        points = jax.vmap(partial(_point, shape, s))(local(z), local(start))
+        slip = jnp.sum(points.slip**2, axis=1)
+        energy = _cushion(points.cushion, s)
+        energy = energy + 0.5 / s * _grip(points.cushion, s) * slip
+    return contacts.stiffness * jnp.sum(area * energy)
+
+
+def _positions(contacts: Contacts, k: int, x, standing: Standing):
+    """Return the positions, areas and starts of all faces with an obstacle [m]."""
+    faces = jnp.asarray(contacts.faces)
+    spread = lambda frame: jnp.broadcast_to(frame, (len(faces), 4, 3))
+    both = lambda nodes, frame: jnp.concatenate([nodes[faces], spread(frame)], axis=1)
+    rest = jnp.asarray(contacts.rest)
+    area = jnp.where(standing.present[k], jnp.asarray(contacts.areas)[k], 0.0)
+    return both(x, x[contacts.frames[k]]), area, both(rest, standing.start[k])
+
+
+def contact_energy(
+    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
+) -> Float[Array, ""]:
+    """Compute the potential of contact at positions of all nodes [J]."""
+    total = jnp.zeros(())
+    for k in range(contacts.n_obstacles):
+        of_face = jax.vmap(partial(_face_energy, contacts, k))
+        total = total + jnp.sum(of_face(*_positions(contacts, k, x, standing)))
+    return total
+
+
+def contact_force(
+    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
+) -> Float[Array, "n_points 3"]:
+    """Differentiate the potential by the positions of all nodes [N]."""
+    total = jnp.zeros_like(x)
+    for k in range(contacts.n_obstacles):
+        of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
+        parts = of_face(*_positions(contacts, k, x, standing))
+        total = total.at[contacts.faces].add(parts[:, :-4])
+        total = total.at[contacts.frames[k]].add(jnp.sum(parts[:, -4:], axis=0))
+    return total
+
+
+def contact_stiffness(
+    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
+) -> tuple[Float[Array, "n_faces 3*m 3*m"], ...]:
+    """Differentiate the force of each clique by the positions of its nodes [N/m]."""
+    return tuple(
+        _stiffness_of(contacts, k, x, standing) for k in range(contacts.n_obstacles)
+    )
+
+
+def _stiffness_of(contacts: Contacts, k: int, x, standing: Standing):
+    z, area, start = _positions(contacts, k, x, standing)
+    m, n_blocks = z.shape[1], len(z) // BLOCK
+    gap = jax.vmap(lambda z: _gaps(contacts, k, z))(z)
+    near = jnp.any((gap < 0.5 * contacts.scale) & (area > 0.0), axis=1)
+
+    def of_face(z, area, start):
+        force = lambda z: jax.grad(partial(_face_energy, contacts, k))(z, area, start)
+        return jax.jacfwd(force)(z).reshape(3 * m, 3 * m)
+
+    def of_block(block):
+        near, *faces = block
+        none = lambda *_: jnp.zeros((BLOCK, 3 * m, 3 * m))
+        return jax.lax.cond(jnp.any(near), jax.vmap(of_face), none, *faces)
+
+    cut = lambda a: a.reshape(n_blocks, BLOCK, *a.shape[1:])
+    blocks = jax.lax.map(of_block, tuple(map(cut, (near, z, area, start))))
+    return blocks.reshape(-1, 3 * m, 3 * m)
+
+
+def _gaps(contacts: Contacts, k: int, z: Float[Array, "m 3"]) -> Float[Array, " n_qp"]:
+    y = _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
+    return jax.vmap(contacts.shapes[k].distance)(y)
+
+
+def passes_through(
+    contacts: Contacts,
+    before: Float[Array, "n_points 3"],
+    after: Float[Array, "n_points 3"],
+    standing: Standing,
+) -> Bool[Array, ""]:
+    """Tell whether a point comes too deep into an obstacle on a straight way.
+
+    Points are looked for at few places of the way. A distance changes by at most the
+    way, so that half the way between two places counts as depth.
+    """
+    found = jnp.zeros((), bool)
+    for k in range(contacts.n_obstacles):
+        ends = [_positions(contacts, k, x, standing) for x in (before, after)]
+        area = ends[0][1]
+        local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
+        first, last = (jax.vmap(local)(z) for z, *_ in ends)
+        distance = jax.vmap(jax.vmap(contacts.shapes[k].distance))
+        between = jnp.linspace(0.0, 1.0, _SAMPLES + 1)
+        deepest = jax.lax.map(
+            lambda t, first=first, last=last, distance=distance: distance(
+                first + t * (last - first)
+            ),
+            between,
+        ).min(axis=0)
+        way = jnp.linalg.norm(last - first, axis=2)
+        too_deep = deepest - 0.5 / _SAMPLES * way < -jnp.asarray(contacts.depth)[k]
+        found = found | jnp.any(too_deep & (area > 0.0))
+    return found
+
+
+class ContactReading(NamedTuple):
+    """What an obstacle feels.
+
+    Attributes:
+        force: Force of the robot on the obstacle [N].
+        moment: Its moment about the origin of the frame of the obstacle [N m].
+        area: Area at rest of the body's surface that presses on it [m2].
+        depth: How deep the body's surface lies in it at most [m].
+        sliding: Share of that area whose friction would have to be larger [-].
+    """
+
+    force: Float[Array, "3"]
+    moment: Float[Array, "3"]
+    area: Float[Array, ""]
+    depth: Float[Array, ""]
+    sliding: Float[Array, ""]
+
+
+def contact_readings(
+    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
+) -> tuple[ContactReading, ...]:
+    """Compute what each obstacle feels at positions of all nodes [m]."""
+    readings = []
+    for k in range(contacts.n_obstacles):
+        z, area, start = _positions(contacts, k, x, standing)
+        of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
+        on_frame = -jnp.sum(of_face(z, area, start)[:, -4:], axis=0)
+        arms = x[contacts.frames[k]] - x[contacts.frames[k][0]]
+        local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
+        at = partial(_point, contacts.shapes[k], contacts.scale)
+        points = jax.vmap(jax.vmap(at))(*map(jax.vmap(local), (z, start)))
+        pressed = jnp.where(points.cushion > 0.0, area, 0.0)
+        normal = _pressure(points.cushion, contacts.scale)
+        grip = _grip(points.cushion, contacts.scale) / contacts.scale
+        along = grip * jnp.linalg.norm(points.slip, axis=2)
+        slides = (along > contacts.friction[k] * normal) & (contacts.friction[k] > 0.0)
+        depth = points.cushion - 0.5 * contacts.scale
+        total = jnp.sum(pressed)
+        readings.append(
+            ContactReading(
+                force=jnp.sum(on_frame, axis=0),
+                moment=jnp.sum(jnp.cross(arms, on_frame), axis=0),
+                area=total,
+                depth=jnp.max(jnp.where(area > 0.0, depth, 0.0), initial=0.0),
+                sliding=jnp.sum(jnp.where(slides, pressed, 0.0))
+                / jnp.where(total > 0.0, total, 1.0),
+            )
+        )
+    return tuple(readings)
+
+
+@eqx.filter_jit
+def depths_at_start(
+    contacts: Contacts, standing: Standing
+) -> Float[Array, " n_obstacles"]:
+    """Compute how deep the body at rest lies in each obstacle before the load [m]."""
+    x, depths = jnp.asarray(contacts.rest), jnp.zeros(contacts.n_obstacles)
+    for k, frame in enumerate(contacts.frames):
+        x = x.at[frame].set(standing.start[k])
+        z, area, _ = _positions(contacts, k, x, standing)
+        gap = jax.vmap(partial(_gaps, contacts, k))(z)
+        depths = depths.at[k].set(jnp.max(jnp.where(area > 0.0, -gap, 0.0)))
+    return depths

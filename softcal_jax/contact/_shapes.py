@@ -1,0 +1,297 @@
+"""Shapes of obstacles as signed distances, in the frame of their rigid body.
+
+The distance is negative inside. Edges are rounded, so that its gradient is continuous
+up to a depth of the rounding.
+"""
+
+import math
+from abc import abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from softcal_jax._module import Module
+from softcal_jax._typing import Array, Float, HostArray
+
+if TYPE_CHECKING:
+    from pyvista import PolyData
+
+
+class AbstractShape(Module):
+    """The shape of an obstacle, fixed to the frame of its rigid body.
+
+    A shape of one's own defines `distance`, which JAX must be able to differentiate
+    twice, `depth` and `drawn`.
+    """
+
+    @abstractmethod
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        """Compute the signed distance of a point of the frame, negative inside [m]."""
+
+    @property
+    @abstractmethod
+    def depth(self) -> float:
+        """How deep a point may lie inside and still find the way out it came in [m]."""
+
+    @abstractmethod
+    def drawn(self, size: float) -> "PolyData":
+        """Make its surface to be drawn beside a robot of a size [m]."""
+
+
+def _positive(what: str, **lengths: float) -> None:
+    for name, value in lengths.items():
+        if not 0.0 < value < np.inf:
+            raise ValueError(
+                f"{name} of a {what} must be positive and finite [m], got {value}."
+            )
+
+
+def _length(v: Float[Array, " n"]) -> Float[Array, ""]:
+    """Compute the length of a vector, with the derivative 0 where it vanishes."""
+    square = jnp.sum(v * v)
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+
+
+def _rounded(q: Float[Array, " n"], rounding: float) -> Float[Array, ""]:
+    """Return the distance from a rounded edge, for the distances `q` from its core."""
+    return _length(jnp.maximum(q, 0.0)) + jnp.minimum(jnp.max(q), 0.0) - rounding
+
+
+class HalfSpace(AbstractShape):
+    """A table or wall: all below the plane of the first two axes of the frame."""
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        return y[2]
+
+    @property
+    def depth(self) -> float:
+        return math.inf
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        return pv.Plane(i_size=1.5 * size, j_size=1.5 * size)
+
+
+class Ball(AbstractShape):
+    """A sphere about the origin of the frame, with a radius [m]."""
+
+    radius: float
+
+    def __check_init__(self):
+        _positive("sphere", radius=self.radius)
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        return _length(y) - self.radius
+
+    @property
+    def depth(self) -> float:
+        return 0.5 * self.radius
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        return pv.Sphere(self.radius)
+
+
+class Capsule(AbstractShape):
+    """A cylinder with round ends, along the third axis of the frame.
+
+    Attributes:
+        radius: Its radius [m].
+        length: Distance of the centres of its ends, which lie half of it from the
+            origin [m].
+    """
+
+    radius: float
+    length: float
+
+    def __check_init__(self):
+        _positive("capsule", radius=self.radius, length=self.length)
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        half = 0.5 * self.length
+        nearest = jnp.clip(y[2], -half, half)
+        return _length(jnp.stack([y[0], y[1], y[2] - nearest])) - self.radius
+
+    @property
+    def depth(self) -> float:
+        return 0.5 * self.radius
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        ends = [(0.0, 0.0, sign * 0.5 * self.length) for sign in (-1.0, 1.0)]
+        tube = pv.Line(*ends).tube(self.radius, n_sides=48)
+        balls = [pv.Sphere(self.radius, center=end) for end in ends]
+        return pv.merge([tube, *balls]).extract_surface()
+
+
+class RoundedCylinder(AbstractShape):
+    """A cylinder along the third axis of the frame, with rounded edges: a flat punch.
+
+    Attributes:
+        radius: Its radius [m].
+        length: Its length; the ends lie half of it from the origin [m].
+        rounding: Radius of its edges [m].
+    """
+
+    radius: float
+    length: float
+    rounding: float
+
+    def __check_init__(self):
+        sizes = {"radius": self.radius, "length": self.length}
+        _positive("cylinder", **sizes, rounding=self.rounding)
+        _fits("cylinder", self.rounding, self.radius, 0.5 * self.length)
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        out = jnp.stack([_length(y[:2]), jnp.abs(y[2])])
+        core = jnp.stack([self.radius, 0.5 * self.length]) - self.rounding
+        return _rounded(out - core, self.rounding)
+
+    @property
+    def depth(self) -> float:
+        return 0.5 * min(self.radius, 0.5 * self.length)
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        turn = np.linspace(0.0, 0.5 * np.pi, 7)
+        r = self.radius - self.rounding * (1.0 - np.cos(turn))
+        z = 0.5 * self.length - self.rounding * (1.0 - np.sin(turn))
+        r, z = np.append(r, 0.0), np.append(z, z[-1])
+        r, z = np.append(r[::-1], r), np.append(-z[::-1], z)
+        outline = np.column_stack([r, np.zeros_like(r), z])
+        return pv.lines_from_points(outline).extrude_rotate(
+            resolution=48, capping=False
+        )
+
+
+class RoundedBox(AbstractShape):
+    """A box about the origin of the frame, with rounded edges.
+
+    Attributes:
+        size: Lengths of its sides along the axes of the frame [m].
+        rounding: Radius of its edges [m].
+    """
+
+    size: tuple[float, float, float]
+    rounding: float
+
+    def __check_init__(self):
+        _positive("box", size=min(self.size), rounding=self.rounding)
+        _fits("box", self.rounding, 0.5 * min(self.size))
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        core = 0.5 * jnp.stack([jnp.asarray(s, float) for s in self.size])
+        return _rounded(jnp.abs(y) - core + self.rounding, self.rounding)
+
+    @property
+    def depth(self) -> float:
+        return 0.25 * min(self.size)
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        a, b, c = (0.5 * side for side in self.size)
+        return pv.Box((-a, a, -b, b, -c, c))
+
+
+def _fits(what: str, rounding: float, *largest: float) -> None:
+    if rounding > min(largest):
+        raise ValueError(
+            f"rounding of a {what} must be at most half of its smallest side "
+            f"({min(largest):g} m), got {rounding:g} m."
+        )
+
+
+class DistanceGrid(AbstractShape):
+    """A closed surface, as its signed distance on a grid; `read_surface` makes it.
+
+    Between the points of the grid it is a cubic B-spline, with continuous first and
+    second derivatives.
+
+    Attributes:
+        coefficients: Coefficients of the spline [m].
+        origin: First point of the grid, in the frame of the body [m].
+        spacing: Distance of its points [m].
+        deepest: Largest distance of a point inside from the surface [m].
+    """
+
+    coefficients: Float[Array, "n_x n_y n_z"]
+    origin: Float[HostArray, "3"]
+    spacing: float
+    deepest: float
+
+    def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
+        at = (y - jnp.asarray(self.origin)) / self.spacing
+        last = jnp.array(self.coefficients.shape) - 3.0
+        inside = jnp.clip(at, 1.0, last)
+        low = jnp.floor(jax.lax.stop_gradient(jnp.minimum(inside, last - 1e-9)))
+        weights = jax.vmap(_spline_weights)(inside - low)
+        first = low.astype(int) - 1
+        cube = jax.lax.dynamic_slice(self.coefficients, first, (4, 4, 4))
+        value = jnp.einsum("ijk,i,j,k->", cube, *weights)
+        # Beyond the grid the way back to it is added.
+        return value + self.spacing * _length(at - inside)
+
+    @property
+    def depth(self) -> float:
+        return 0.5 * self.deepest
+
+    def drawn(self, size: float) -> "PolyData":
+        import pyvista as pv
+
+        shape, spacing = self.coefficients.shape, (float(self.spacing),) * 3
+        grid = pv.ImageData(dimensions=shape, spacing=spacing, origin=self.origin)
+        knots = np.asarray(self.coefficients)
+        for axis in range(3):
+            knots = ndimage.correlate1d(knots, [1 / 6, 2 / 3, 1 / 6], axis)
+        return grid.contour([0.0], knots.ravel(order="F"))
+
+
+def _spline_weights(t: Float[Array, ""]) -> Float[Array, "4"]:
+    """Return the weights of the four cubic B-splines around a point."""
+    s = 1.0 - t
+    inner = lambda t: 2.0 / 3.0 - t**2 + 0.5 * t**3
+    return jnp.stack([s**3 / 6.0, inner(t), inner(s), t**3 / 6.0])
+
+
+def read_surface(
+    path: str | Path, *, length_unit: float = 1.0, points: int = 64
+) -> DistanceGrid:
+    """Read a closed surface (STL, PLY, OBJ, VTP) as the shape of an obstacle.
+
+    VTK computes its signed distances on a grid of `points` along its longest side, and
+    a quarter of them more around. Its coordinates are those of the frame of its rigid
+    body, in `length_unit` [m].
+
+    Raises:
+        ValueError: If the surface is not closed, or has no triangles.
+    """
+    import pyvista as pv
+
+    surface: Any = pv.read(path)
+    surface = surface.extract_surface().triangulate().clean()
+    if surface.n_cells == 0 or surface.n_open_edges > 0:
+        raise ValueError(
+            f"{path} has {surface.n_cells} triangles and {surface.n_open_edges} open "
+            "edges; expected a closed surface: mend it in the program that wrote it."
+        )
+    surface.points = length_unit * np.asarray(surface.points, float)
+    low, high = np.reshape(surface.bounds, (3, 2)).T
+    spacing = float(max(high - low)) / (points - 1)
+    around = max(4, points // 8)
+    shape = np.ceil((high - low) / spacing).astype(int) + 1 + 2 * around
+    origin = low - around * spacing
+    grid = pv.ImageData(dimensions=shape, spacing=(spacing,) * 3, origin=origin)
+    surface = surface.compute_normals(auto_orient_normals=True)
+    distance = grid.compute_implicit_distance(surface)["implicit_distance"]
+    values = np.asarray(distance, float).reshape(shape, order="F")
+    knots = ndimage.spline_filter(values, order=3, mode="mirror")
+    return DistanceGrid(knots, origin, spacing, float(-values.min()))
