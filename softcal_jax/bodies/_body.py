@@ -114,8 +114,8 @@ class RigidBody(Module):
 
     The coupling is exact: the body has six unknowns, its nodes have none. A tet whose
     nodes all belong to one body does not deform but keeps its weight. A configuration
-    lets the body move freely, holds it, or hinges it about the third axis of its frame
-    lets it slide along the third axis (`BodyState`); a `Motor` turns it about that axis.
+    lets the body move freely, holds it, hinges it about the third axis of its frame or
+    lets it slide along that axis (`BodyState`); a `Motor` turns it about that axis.
 
     Attributes:
         where: Its nodes: name of a node or surface group, several names, or indices;
@@ -157,8 +157,8 @@ class RigidBody(Module):
             )
         if not 0.0 <= self.friction < np.inf or (self.friction and not self.shape):
             raise ValueError(
-                f"friction of rigid body {self.name!r} must be finite and not negative, "
-                f"and needs a shape, got {self.friction:g}."
+                f"friction of rigid body {self.name!r} must be finite and not "
+                f"negative, and needs a shape, got {self.friction:g}."
             )
         for name in ("origin", "centre_of_mass"):
             if (value := getattr(self, name)) is not None:

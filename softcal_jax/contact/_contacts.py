@@ -153,10 +153,9 @@ def build_contacts(
 def _cushion(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
     """Compute phi of the module's docstring [m]."""
     near = jnp.clip(d, 0.0, 2.0 * s)
-    far = jnp.maximum(d, 2.0 * s) / s
-    return jnp.where(
-        d < 2.0 * s, near**3 / (12.0 * s**2), s * (far**2 / 2 - far + 2 / 3)
-    )
+    far = jnp.maximum(d / s, 2.0)
+    deep = s * (0.5 * far**2 - far + 2.0 / 3.0)
+    return jnp.where(d < 2.0 * s, near**3 / (12.0 * s**2), deep)
 
 
 def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:

@@ -157,11 +157,10 @@ def _state(
         Reaction(name, of_nodes(model, lane, state))
         for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
+    felt = zip(model.mechanism.contacts.names, state.contacts, strict=True)
     contacts = tuple(
-        ContactState(name, felt.force, felt.moment, *map(float, felt[2:]))
-        for name, felt in zip(
-            model.mechanism.contacts.names, state.contacts, strict=True
-        )
+        ContactState(name, force, moment, *map(float, others))
+        for name, (force, moment, *others) in felt
     )
     return RobotState(tuple(places), actuators, tuple(reactions), contacts, u)
 
