@@ -270,7 +270,8 @@ class BodyArrays(Module):
     @property
     def has_nodes(self) -> Bool[HostArray, " n_b"]:
         """Which bodies have nodes of the mesh; obstacles may have none."""
-        return (np.arange(self.n_bodies)[:, None] == self.body[None]).any(axis=1)
+        bodies = np.arange(self.n_bodies, dtype=np.int32)
+        return (bodies[:, None] == self.body[None]).any(axis=1)
 
     @property
     def tied(self) -> Bool[Array, " n_b"]:

@@ -122,14 +122,15 @@ def build_contacts(
     mean size of a face [m].
     """
     n_obstacles = len(obstacles)
-    faces = boundary_faces(mesh)[: None if obstacles else 0]
+    none = np.zeros((0, 3 if mesh.order == 1 else 6), np.int32)
+    faces = boundary_faces(mesh) if obstacles else none
     areas, N = face_areas(mesh, faces)
     if scale is None:
         mean = np.sqrt(2.0 * areas.sum() / max(1, len(faces)))
         scale = FINE * float(mean) if obstacles else 1.0
     pad = -len(faces) % BLOCK
     apart = [~np.isin(faces, o.nodes).all(axis=1) for o in obstacles]
-    of_each = np.reshape(apart, (n_obstacles, -1, 1)) * areas
+    of_each = np.reshape(apart, (n_obstacles, len(faces), 1)) * areas
     to_array = lambda leaf: jnp.asarray(leaf, float)
     return Contacts(
         faces=np.concatenate([faces, np.repeat(faces[:1], pad, axis=0)]),
