@@ -28,6 +28,7 @@ from softcal_jax.equilibrium import (
     robot_states,
 )
 from softcal_jax.inference import UNLIKELY, LinearModel, whitened
+from softcal_jax.mesh import SelfContact, self_contact
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import attachments
 
@@ -59,6 +60,8 @@ class ConfigurationResult(Module):
             of their standard deviations: the correlated part of the noise, and with a
             stated one what is considered [-].
         posed: The configuration as described; None where a result was made without it.
+        self_contact: Where the body passes through itself; None if it does not, or
+            there is no equilibrium.
     """
 
     name: str
@@ -77,6 +80,7 @@ class ConfigurationResult(Module):
     W_ep: Float[HostArray, "n_rows 3 n_p"] | None = None
     columns: Float[HostArray, "n_coordinates n_columns"] | None = None
     posed: Configuration | None = None
+    self_contact: SelfContact | None = None
 
     def __str__(self) -> str:
         """Write how far the markers are off before and after, in one line."""
@@ -150,6 +154,16 @@ class ConfigurationResult(Module):
         if self.motion > 0.0:
             text += f", {100.0 * self.rms_share:.0f} % of its motion"
         return text
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the model leaves out in this configuration, one sentence each."""
+        if self.self_contact is None:
+            return ()
+        return (
+            f"The body touches itself in {self.name}, {self.self_contact.words}: this "
+            "is not modelled.",
+        )
 
     def _chance(
         self,
@@ -236,6 +250,11 @@ class SimulationResult(Result):
     def converged(self) -> bool:
         """Whether every configuration has an equilibrium."""
         return all(result.converged for result in self.configurations)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the model leaves out, one sentence each; empty if nothing is known."""
+        return tuple(doubt for pose in self.configurations for doubt in pose.doubts)
 
     @property
     def headline(self) -> str:
@@ -374,9 +393,20 @@ def _results(
             min_det_F=float(solution.min_det_F[i]),
             robot=states[i],
             posed=configuration,
+            self_contact=_self_contact(model, solution, i),
         )
         for i, configuration in enumerate(configurations)
     )
+
+
+def _self_contact(
+    model: Model, solution: EquilibriumSolution, i: int
+) -> SelfContact | None:
+    """Find where the body of a configuration with an equilibrium touches itself."""
+    if not solution.converged[i]:
+        return None
+    mesh, u = model.mesh, np.asarray(solution.displacement[i])
+    return self_contact(mesh, u[: mesh.n_nodes])
 
 
 def _outcome(solution: EquilibriumSolution, i: int) -> str:

@@ -322,9 +322,10 @@ class CalibrationResult(Result):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Where the model contradicts the data, one sentence each; empty if nowhere.
+        """Where the model cannot be right, one sentence each; empty if nowhere.
 
-        They are by chi-squared of stated errors, by `checks`, and by each pose.
+        It contradicts the data, by chi-squared of stated errors, by `checks`, and by
+        each pose; or a body passes through itself.
         """
         spread, doubts = self.uncertainty, []
         if spread.misfits:
@@ -337,6 +338,7 @@ class CalibrationResult(Result):
                 "stated noise."
             )
         doubts += self.checks.reasons if self.checks is not None else ()
+        doubts += (doubt for fit in self.configurations for doubt in fit.doubts)
         done = {"calibration": "fitted", "validation": "predicted"}
         return tuple(doubts) + tuple(
             f"{fit.name} is {done[fit.role]} {fit.off}: check its load, supports, "
@@ -355,7 +357,7 @@ class CalibrationResult(Result):
 
     @property
     def contradicted(self) -> bool:
-        """Whether the model contradicts the data, fitted or held out."""
+        """Whether the model contradicts the data, fitted or held out, or itself."""
         return bool(self.doubts) or self.missed > MISSED
 
     @property

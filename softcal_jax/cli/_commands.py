@@ -124,7 +124,8 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
     show.line(report.simulation_table(result))
-    for sentence in report.held_out_sentences(result.configurations):
+    errors = report.held_out_sentences(result.configurations)
+    for sentence in (*errors, *result.doubts):
         show.line(sentence)
     more = {"name": project.name, "traces": project.traces}
     more |= {"calibration": args.values and report.result_path(args.values)}

@@ -118,6 +118,7 @@ def simulation_dict(
             "converged": result.converged,
             **made_dict(made or Made(result.model, {}), directory),
             "configurations": [_simulated(c) for c in result.configurations],
+            "doubts": result.doubts,
             "solver": solver_dict(result.model),
             "timing_s": timing_s or {},
         }

@@ -32,6 +32,10 @@ from softcal_jax.mesh._selection import (
     select_faces as select_faces,
     select_nodes as select_nodes,
 )
+from softcal_jax.mesh._self_contact import (
+    SelfContact as SelfContact,
+    self_contact as self_contact,
+)
 from softcal_jax.mesh._surfaces import (
     CAD_FACE as CAD_FACE,
     SHARP as SHARP,

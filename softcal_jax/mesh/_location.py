@@ -17,7 +17,7 @@ from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import LOCAL_FACES, boundary_face_indices, tet_faces
 
 # A point of a face shared by two tets may be outside both by rounding.
-_INSIDE = 1e-9
+INSIDE = 1e-9
 
 
 class MaterialPoints(Module):
@@ -105,7 +105,7 @@ def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
     """Find the tet and the coordinates of each point; tet -1 for a point outside."""
     X = mesh.points[mesh.tets]
     lower, upper = bounds(X)
-    slack = _INSIDE * mesh.size
+    slack = INSIDE * mesh.size
     tet = np.full(len(points), -1, dtype=np.int32)
     barycentric = np.full((len(points), 4), 0.25)
     for i, point in enumerate(points):
@@ -116,7 +116,7 @@ def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
         b = barycentric_in_tets(X[candidates], np.tile(point, (len(candidates), 1)))
         depth = np.nan_to_num(b.min(axis=1), nan=-np.inf)
         best = np.argmax(depth)
-        if depth[best] >= -_INSIDE:
+        if depth[best] >= -INSIDE:
             tet[i], barycentric[i] = candidates[best], b[best]
     return tet, barycentric
 
@@ -174,16 +174,23 @@ def bounds(
 ) -> tuple[Float[HostArray, "n_cells 3"], Float[HostArray, "n_cells 3"]]:
     """Find boxes that hold curved tets or triangles entirely.
 
-    A quadratic cell lies in the hull of its Bezier points, not of its nodes: the
-    Bezier point of an edge is 2 m - (a + b) / 2 for ends a, b and mid node m.
+    A quadratic cell lies in the hull of its Bezier points, not of its nodes.
+    """
+    hull = bezier_points(X)
+    return hull.min(axis=1), hull.max(axis=1)
+
+
+def bezier_points(
+    X: Float[HostArray, "n_cells n_en 3"],
+) -> Float[HostArray, "n_cells n_en 3"]:
+    """Convert the nodes of tets or triangles to Bezier points, whose hull holds them.
+
+    That of an edge is 2 m - (a + b) / 2 for ends a, b and mid node m.
     """
     n_corners = {3: 3, 4: 4, 6: 3, 10: 4}[X.shape[1]]
-    hull = X
-    if X.shape[1] > n_corners:
-        edges = np.array(TET_EDGES[: X.shape[1] - n_corners])
-        ends = X[:, edges].sum(axis=2) / 2.0
-        hull = np.concatenate([X[:, :n_corners], 2.0 * X[:, n_corners:] - ends], axis=1)
-    return hull.min(axis=1), hull.max(axis=1)
+    a, b = np.array(TET_EDGES[: X.shape[1] - n_corners], int).reshape(-1, 2).T
+    of_edges = 2.0 * X[:, n_corners:] - (X[:, a] + X[:, b]) / 2.0
+    return np.concatenate([X[:, :n_corners], of_edges], axis=1)
 
 
 def barycentric_in_tets(
@@ -196,21 +203,22 @@ def barycentric_in_tets(
     """
     corners = X[:, 1:4] - X[:, :1]
     start = np.linalg.solve(np.swapaxes(corners, 1, 2), (points - X[:, 0])[..., None])
-    b = _full(start[..., 0])
+    b = barycentric_of(start[..., 0])
     if X.shape[1] == 4:
         return b
     step = np.zeros((len(X), 3))
     # Far outside a curved tet its map folds: keep the iteration near the tet.
     for _ in range(_MAX_STEPS):
         step = _newton_step(X, b, points)
-        b = _full(np.clip(b[:, 1:] + step, -1.0, 2.0))
+        b = barycentric_of(np.clip(b[:, 1:] + step, -1.0, 2.0))
         if (np.abs(step) < _STEP).all():
             break
     b[(np.abs(step) >= 1e-9).any(axis=1)] = np.nan
     return b
 
 
-def _full(xi: HostArray) -> HostArray:
+def barycentric_of(xi: Float[HostArray, "*points d"]) -> HostArray:
+    """Convert reference to barycentric coordinates, which sum to one."""
     return np.concatenate([1.0 - xi.sum(axis=-1, keepdims=True), xi], axis=-1)
 
 
@@ -234,7 +242,9 @@ def nearest_on_triangles(
     uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
     wu, wv = (w * u).sum(1), (w * v).sum(1)
     det = np.maximum(uu * vv - uv * uv, np.finfo(float).tiny)
-    foot = _full(np.stack([vv * wu - uv * wv, uu * wv - uv * wu], 1) / det[:, None])
+    foot = barycentric_of(
+        np.stack([vv * wu - uv * wv, uu * wv - uv * wu], 1) / det[:, None]
+    )
 
     best = foot.copy()
     # A foot inside the triangle wins against every point of an edge.

@@ -118,7 +118,10 @@ def design_page(
 
 
 def _simulation_verdict(result: SimulationResult) -> RunVerdict:
-    return RunVerdict(result.headline, "good" if result.converged else "bad")
+    tone = "doubtful" if result.doubts else "good"
+    return RunVerdict(
+        result.headline, tone if result.converged else "bad", result.doubts
+    )
 
 
 def _subject(result: CalibrationResult, assessment: Assessment) -> TextTable:
