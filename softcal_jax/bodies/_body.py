@@ -218,11 +218,10 @@ class BodyState(Module):
         unused = turn if self.kind in ("hinged", "sliding") else shift + turn
         if self.kind != "held" and any(unused):
             raise ValueError(
-                f"a body that is {self.kind} ignores a part of its pose, with "
+                f"a body that is {self.kind} ignores a part of its pose or start, with "
                 f"translation {self.pose.translation.tolist()} m and rotation vector "
-                f"{self.pose.rotation_vector.tolist()} rad, or of its start. Hold it "
-                "there with the Pose itself, or turn the axes or the mounting of its "
-                "body."
+                f"{self.pose.rotation_vector.tolist()} rad. Hold it there with the "
+                "Pose itself, or turn it by the axes or the mounting of its body."
             )
 
 

@@ -239,28 +239,18 @@ def _positions(contacts: Contacts, k: int, x, standing: Standing):
     return both(x, x[contacts.frames[k]]), area, both(rest, standing.start[k])
 
 
-def contact_energy(
+def contact_energy_and_force(
     contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
-) -> Float[Array, ""]:
-    """Compute the potential of contact at positions of all nodes [J]."""
-    total = jnp.zeros(())
+) -> tuple[Float[Array, ""], Float[Array, "n_points 3"]]:
+    """Compute the potential [J] and its gradient at positions of all nodes [N]."""
+    energy, force = jnp.zeros(()), jnp.zeros_like(x)
     for k in range(contacts.n_obstacles):
-        of_face = jax.vmap(partial(_face_energy, contacts, k))
-        total = total + jnp.sum(of_face(*_positions(contacts, k, x, standing)))
-    return total
-
-
-def contact_force(
-    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
-) -> Float[Array, "n_points 3"]:
-    """Differentiate the potential by the positions of all nodes [N]."""
-    total = jnp.zeros_like(x)
-    for k in range(contacts.n_obstacles):
-        of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
-        parts = of_face(*_positions(contacts, k, x, standing))
-        total = total.at[contacts.faces].add(parts[:, :-4])
-        total = total.at[contacts.frames[k]].add(jnp.sum(parts[:, -4:], axis=0))
-    return total
+        of_face = jax.vmap(jax.value_and_grad(partial(_face_energy, contacts, k)))
+        energies, parts = of_face(*_positions(contacts, k, x, standing))
+        energy = energy + jnp.sum(energies)
+        force = force.at[contacts.faces].add(parts[:, :-4])
+        force = force.at[contacts.frames[k]].add(jnp.sum(parts[:, -4:], axis=0))
+    return energy, force
 
 
 def contact_stiffness(

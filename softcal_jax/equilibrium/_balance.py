@@ -23,7 +23,7 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.actuators import actuator_rows, curvature_entries, displacement_rows
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
-from softcal_jax.equilibrium._model import Model, Nodal
+from softcal_jax.equilibrium._model import Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import element_entries, mask_supports
 
@@ -157,12 +157,14 @@ def zeros_of(function: Callable[..., T], *arguments: Any) -> T:
 class Point(NamedTuple):
     """A displacement u, with the internal force and the actuators' displacements at u.
 
-    The energy, the sum of its absolute parts (the scale of its rounding) and the
+    `contact` are the forces of the nodes on obstacles, beside the internal ones. The
+    energy of both, the sum of its absolute parts (the scale of its rounding) and the
     smallest det F are None where they are not needed.
     """
 
     u: Nodal
     force: Nodal
+    contact: Nodal
     delta_a: Float[Array, " n_a"]
     energy: Any = None
     energy_scale: Any = None
@@ -173,21 +175,28 @@ class Point(NamedTuple):
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
 
-def deform(model: Model, u: Nodal) -> Point:
-    """Compute internal force and actuator displacements, without the energy."""
-    return Point(u, internal_force(model, u), model.displacements(u))
+def deform(posed: Posed, u: Nodal) -> Point:
+    """Compute forces and actuator displacements, without the energy."""
+    model, (_, contact) = posed.model, posed.contact(u)
+    return Point(u, internal_force(model, u), contact, model.displacements(u))
 
 
-def evaluate(model: Model, u: Nodal) -> Point:
+def evaluate(posed: Posed, u: Nodal) -> Point:
+    model, (stored, contact) = posed.model, posed.contact(u)
     energy, scale, force, det = energy_and_force(model, u)
-    return Point(u, force, model.displacements(u), energy, scale, det)
+    delta_a, scale = model.displacements(u), scale + stored
+    return Point(u, force, contact, delta_a, energy + stored, scale, det)
 
 
-def at_rest(model: Model) -> Point:
-    none = jnp.zeros((model.n_points, 3))
-    delta_a = jnp.zeros(model.mechanism.n_actuators) - model.mechanism.motor_zero
-    zero, one = jnp.zeros(()), jnp.ones(())
-    return Point(none, none, delta_a, zero, zero, one)
+def at_rest(posed: Posed) -> Point:
+    """Return the state before the load, with obstacles where they start."""
+    mechanism, none = posed.model.mechanism, jnp.zeros((posed.model.n_points, 3))
+    u, delta_a = none, jnp.zeros(mechanism.n_actuators) - mechanism.motor_zero
+    if posed.contacts.n_obstacles:
+        frames, start = posed.contacts.frames, posed.standing.start
+        u = none.at[frames].set(start - jnp.asarray(mechanism.points)[frames])
+    energy, contact = posed.contact(u)
+    return Point(u, none, contact, delta_a, energy, energy, jnp.ones(()))
 
 
 def actuator_loads(
@@ -203,7 +212,7 @@ def unbalanced(posed: Posed, point: Point, lambda_a: Float[Array, " n_a"]):
     rows = actuator_rows(posed.model.mechanism.actuators, x)
     forces = actuator_loads(posed, lambda_a)
     g = point.force - posed.load * posed.f_ext + posed.spring_force(point.u)
-    g = g + posed.contact_force(point.u)
+    g = g + point.contact
     if len(forces) > 0:
         g = g - jnp.sum(forces[:, None, None] * rows, axis=0)
     return g, rows

@@ -169,7 +169,7 @@ class _QuickSteps(NamedTuple):
         posed = self.posed
         rigid = posed.rigid(guess)
         held = posed.held_at(rigid)
-        point = evaluate(self.model, held)
+        point = evaluate(self.posed, held)
         usable = point.finite & (point.min_det_F > 0.0)
         # After a moved support, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
@@ -229,7 +229,7 @@ class _QuickSteps(NamedTuple):
         # Negative eigenvalues are counted when a new matrix is factorized.
         counted = jnp.where(s.arrived, s.factor.n_negative, factor.n_negative)
         factor, anew = factor._replace(n_negative=counted), ~s.chord & ~s.arrived
-        new = evaluate(self.model, posed.move(s.point.u, step.d))
+        new = evaluate(posed, posed.move(s.point.u, step.d))
         new_lambda = step.lambda_a + step.d_lambda
         size = merit(posed, new, new_lambda, factor.gap_stiffness)
         residual = relative(posed, new, size, factor.stiffness)

@@ -200,7 +200,7 @@ def line_search(
     step, gap_stiffness = direction.step, direction.factor.gap_stiffness
 
     def trial(alpha):
-        new = evaluate(posed.model, posed.swing(point.u, alpha * step.d))
+        new = evaluate(posed, posed.swing(point.u, alpha * step.d))
         lambda_a = step.lambda_a + alpha * step.d_lambda
         size = merit(posed, new, lambda_a, gap_stiffness)
         enough = lower(alpha, new, lambda_a, size)
@@ -258,7 +258,7 @@ def _lower(posed: Posed, point: Point, direction: NewtonDirection, reference):
 def _potential(posed: Posed, point: Point):
     """Compute Pi at a point, and the scale of its rounding [J]."""
     work = posed.load * posed.f_ext * point.u
-    springs = posed.spring_energy(point.u) + posed.contact_energy(point.u)
+    springs = posed.spring_energy(point.u)
     value, scale = point.energy + springs - jnp.sum(work), point.energy_scale + springs
     scale = scale + jnp.sum(jnp.abs(work))
     forces = posed.configuration.actuation.forces

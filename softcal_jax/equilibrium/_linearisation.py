@@ -45,7 +45,8 @@ def residual(
     that holds the body. Unless given, the forces `lambda_a` of actuators whose
     displacement is imposed are estimated from the balance, exactly at equilibrium.
     """
-    posed, point = Posed.of(model, configuration), deform(model, u)
+    posed = Posed.of(model, configuration)
+    point = deform(posed, u)
     if lambda_a is None:
         lambda_a = estimated_forces(posed, point)
     return unbalanced(posed, point, lambda_a)[0]
@@ -55,7 +56,8 @@ def solved_forces(
     model: Model, configuration: ConfigurationArrays, u: Nodal
 ) -> Float[Array, " n_a"]:
     """Compute the forces of actuators with imposed displacement at an equilibrium."""
-    return estimated_forces(Posed.of(model, configuration), deform(model, u))
+    posed = Posed.of(model, configuration)
+    return estimated_forces(posed, deform(posed, u))
 
 
 class Linearisation(Module):
@@ -173,7 +175,8 @@ def linearise(
     differentiable: bool = False,
 ) -> Linearisation:
     """Assemble the tangent and the actuator rows; `lambda_a` as for `residual`."""
-    posed, point = Posed.of(model, configuration), deform(model, u)
+    posed = Posed.of(model, configuration)
+    point = deform(posed, u)
     if lambda_a is None:
         lambda_a = estimated_forces(posed, point)
     mesh, active = tangent_values(model, u), taut(posed, point)

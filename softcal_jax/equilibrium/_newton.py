@@ -291,11 +291,11 @@ class NewtonLoop:
 
     def start(self, u0: Nodal | None = None) -> NewtonState:
         """Begin at rest, or at a guess `u0` with its bodies made rigid."""
-        rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
+        rest, count = at_rest(self.posed), jnp.zeros((), jnp.int32)
         zero, point, load = jnp.zeros(()), rest, self.longest
         lambda_a = jnp.zeros_like(rest.delta_a)
         if u0 is not None:
-            guess = evaluate(self.model, self.posed.rigid(u0))
+            guess = evaluate(self.posed, self.posed.rigid(u0))
             # Rest is a better start than inverted tets or infinite energy, and making
             # bodies rigid leaves rounding: ask the guess itself whether it is rest.
             usable = guess.finite & (guess.min_det_F > 0.0)

@@ -198,7 +198,7 @@ def _step(
 
     def correct(s: _State) -> _State:
         posed = full.at_load(s.load)
-        point = evaluate(posed.model, s.u)
+        point = evaluate(posed, s.u)
         tangent, solved, held = _both_steps(posed, point, s.lambda_a, s.theta)
         off = merit(posed, point, s.lambda_a, stiffness_of_gaps(posed, solved.W_aa))
         residual = relative(posed, point, off, tangent.stiffness)
@@ -255,7 +255,7 @@ def _step(
 def _begin(
     model: Model, configuration: ConfigurationArrays, settings: NewtonSettings
 ) -> _State:
-    rest = at_rest(model)
+    rest = at_rest(Posed.of(model, configuration))
     n_rows = configuration.effectors.measured.shape[0]
     zero, count = jnp.zeros(()), jnp.zeros((), jnp.int32)
     no = jnp.zeros((), bool)

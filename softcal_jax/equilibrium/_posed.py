@@ -37,8 +37,7 @@ from softcal_jax.contact import (
     ContactReading,
     Contacts,
     Standing,
-    contact_energy,
-    contact_force,
+    contact_energy_and_force,
     contact_readings,
     contact_stiffness,
     passes_through,
@@ -211,16 +210,12 @@ class Posed(NamedTuple):
         assert self.states is not None
         return standing(self.model.mechanism, self.states)
 
-    def contact_force(self, u: Nodal) -> Nodal:
-        """Compute the forces of the nodes on the cushion of the obstacles [N]."""
+    def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal]:
+        """Compute energy and forces of the nodes on the cushion of obstacles [J, N]."""
         if self.contacts.n_obstacles == 0:
-            return jnp.zeros_like(u)
-        return contact_force(self.contacts, self.model.positions(u), self.standing)
-
-    def contact_energy(self, u: Nodal) -> Float[Array, ""]:
-        if self.contacts.n_obstacles == 0:
-            return jnp.zeros(())
-        return contact_energy(self.contacts, self.model.positions(u), self.standing)
+            return jnp.zeros(()), jnp.zeros_like(u)
+        x = self.model.positions(u)
+        return contact_energy_and_force(self.contacts, x, self.standing)
 
     def contact_tangent(
         self, u: Nodal, values: Float[Array, " nnz"]
