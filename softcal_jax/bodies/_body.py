@@ -267,7 +267,7 @@ class BodyArrays(Module):
         return len(self.names)
 
     @property
-    def has_nodes(self) -> Bool[HostArray, " n_b"]:
+    def has_nodes(self) -> Bool[Array | HostArray, " n_b"]:
         """Which bodies have nodes of the mesh; obstacles may have none."""
         bodies = np.arange(self.n_bodies, dtype=np.int32)
         return (bodies[:, None] == self.body[None]).any(axis=1)

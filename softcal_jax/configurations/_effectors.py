@@ -174,7 +174,10 @@ class ContactForce(AbstractEffector):
     name: str
     body: str
     axis: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
-    measured: float | Float[HostArray, "3"] | None = None
+    measured: float | Float[HostArray, "3"] | None = eqx.field(
+        converter=lambda value: optional(value) if np.ndim(value) else value,
+        default=None,
+    )
     std: float = Unstated(1e-2)
     quantity: ClassVar[tuple[str, str]] = "force", "N"
 

@@ -53,10 +53,10 @@ class Contacts(Module):
         stiffness: The modulus E of the pressure [Pa].
         scale: The length s; surfaces feel each other at half of it [m].
         shapes: The shapes of the obstacles.
-        body: Index of the rigid body of each.
-        names: Its name.
-        friction: Coefficient of friction up to which points stick to each; 0 lets them
-            slide [-].
+        body: Index of the rigid body of each of them.
+        friction: Coefficient of friction up to which points stick to each [-].
+        sticks: Whether it has friction; else points slide.
+        names: Names of the obstacles.
     """
 
     faces: Int[HostArray, "n_faces n_fn"]
@@ -69,9 +69,10 @@ class Contacts(Module):
     stiffness: Float[Array, ""]
     scale: Float[Array, ""]
     shapes: tuple[AbstractShape, ...]
+    friction: Float[HostArray, " n_obstacles"]
     body: tuple[int, ...] = eqx.field(static=True)
+    sticks: tuple[bool, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
-    friction: tuple[float, ...] = eqx.field(static=True)
 
     @property
     def n_obstacles(self) -> int:
@@ -146,8 +147,9 @@ def build_contacts(
         scale=jax.device_put(np.asarray(scale, float)),
         shapes=tuple(jax.tree.map(to_array, o.shape) for o in obstacles),
         body=tuple(o.body for o in obstacles),
+        friction=np.array([o.friction for o in obstacles], float),
+        sticks=tuple(o.friction > 0.0 for o in obstacles),
         names=tuple(o.name for o in obstacles),
-        friction=tuple(o.friction for o in obstacles),
     )
 
 
@@ -171,17 +173,15 @@ def _grip(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
     return q**2 * (3.0 - 2.0 * q)
 
 
-def _local(
-    x: Float[Array, "n 3"], frame: Float[Array, "4 3"], length: Float[HostArray, ""]
-) -> Float[Array, "n 3"]:
-    """Return the coordinates of points in a frame, from the nodes of that [m]."""
-    axes = (frame[1:] - frame[:1]) / length
-    return jnp.sum((x - frame[0])[:, None] * axes[None], axis=2)
+def _local(contacts: Contacts, z: Float[Array, "m 3"]) -> Float[Array, "n_qp 3"]:
+    """Return the points of a face in the frame of an obstacle [m].
 
-
-def _points(contacts: Contacts, nodes: Float[Array, "n_fn 3"]) -> Float[Array, "_ 3"]:
+    `z` are the positions of the nodes of the face, then of the four of the frame.
+    """
     N = jnp.asarray(contacts.shape_functions)
-    return jnp.sum(N[:, :, None] * nodes[None], axis=1)
+    x, (origin, *ends) = jnp.sum(N[:, :, None] * z[None, :-4], axis=1), z[-4:]
+    axes = (jnp.stack(ends) - origin[None]) / contacts.length
+    return jnp.sum((x - origin[None])[:, None] * axes[None], axis=2)
 
 
 class _Point(NamedTuple):
@@ -214,12 +214,10 @@ def _face_energy(
 ) -> Float[Array, ""]:
     """Compute the energy between a face and the obstacle `k` [J].
 
-    `z` are the positions of the nodes of the face, then of the frame, and `start` those
-    before the load.
+    `start` are the positions before the load.
     """
-    shape, s = contacts.shapes[k], contacts.scale
-    local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
-    if contacts.friction[k] == 0.0:
+    shape, s, local = contacts.shapes[k], contacts.scale, partial(_local, contacts)
+    if not contacts.sticks[k]:
         energy = _cushion(0.5 * s - jax.vmap(shape.distance)(local(z)), s)
     else:
         points = jax.vmap(partial(_point, shape, s))(local(z), local(start))
@@ -255,7 +253,7 @@ def contact_energy_and_force(
 
 def contact_stiffness(
     contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
-) -> tuple[Float[Array, "n_faces 3*m 3*m"], ...]:
+) -> tuple[Float[Array, "n_faces _ _"], ...]:
     """Differentiate the force of each clique by the positions of its nodes [N/m]."""
     return tuple(
         _stiffness_of(contacts, k, x, standing) for k in range(contacts.n_obstacles)
@@ -283,8 +281,7 @@ def _stiffness_of(contacts: Contacts, k: int, x, standing: Standing):
 
 
 def _gaps(contacts: Contacts, k: int, z: Float[Array, "m 3"]) -> Float[Array, " n_qp"]:
-    y = _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
-    return jax.vmap(contacts.shapes[k].distance)(y)
+    return jax.vmap(contacts.shapes[k].distance)(_local(contacts, z))
 
 
 def passes_through(
@@ -302,8 +299,7 @@ def passes_through(
     for k in range(contacts.n_obstacles):
         ends = [_positions(contacts, k, x, standing) for x in (before, after)]
         area = ends[0][1]
-        local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
-        first, last = (jax.vmap(local)(z) for z, *_ in ends)
+        first, last = (jax.vmap(partial(_local, contacts))(z) for z, *_ in ends)
         distance = jax.vmap(jax.vmap(contacts.shapes[k].distance))
         between = jnp.linspace(0.0, 1.0, _SAMPLES + 1)
         deepest = jax.lax.map(
@@ -345,15 +341,16 @@ def contact_readings(
         z, area, start = _positions(contacts, k, x, standing)
         of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
         on_frame = -jnp.sum(of_face(z, area, start)[:, -4:], axis=0)
-        arms = x[contacts.frames[k]] - x[contacts.frames[k][0]]
-        local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
+        arms = x[contacts.frames[k]] - x[contacts.frames[k][0]][None]
         at = partial(_point, contacts.shapes[k], contacts.scale)
-        points = jax.vmap(jax.vmap(at))(*map(jax.vmap(local), (z, start)))
+        local = jax.vmap(partial(_local, contacts))
+        points = jax.vmap(jax.vmap(at))(local(z), local(start))
         pressed = jnp.where(points.cushion > 0.0, area, 0.0)
         normal = _pressure(points.cushion, contacts.scale)
         grip = _grip(points.cushion, contacts.scale) / contacts.scale
         along = grip * jnp.linalg.norm(points.slip, axis=2)
-        slides = (along > contacts.friction[k] * normal) & (contacts.friction[k] > 0.0)
+        most = jnp.asarray(contacts.friction)[k] * normal
+        slides = (along > most) & contacts.sticks[k]
         depth = points.cushion - 0.5 * contacts.scale
         total = jnp.sum(pressed)
         readings.append(

@@ -56,7 +56,9 @@ def _length(v: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-def _rounded(q: Float[Array, " n"], rounding: float) -> Float[Array, ""]:
+def _rounded(
+    q: Float[Array, " n"], rounding: float | Float[Array, ""]
+) -> Float[Array, ""]:
     """Return the distance from a rounded edge, for the distances `q` from its core."""
     return _length(jnp.maximum(q, 0.0)) + jnp.minimum(jnp.max(q), 0.0) - rounding
 

@@ -14,11 +14,13 @@ import pytest
 from problems import both_ways, lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor, actuator_rows
-from softcal_jax.bodies import RigidBody, hinge_axes
+from softcal_jax.bodies import Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ActuatorForce,
     BodyFrame,
     Configuration,
+    ContactForce,
+    ContactMoment,
     ImposedDisplacement,
     ImposedForce,
     Markers,
@@ -28,6 +30,7 @@ from softcal_jax.configurations import (
     SurfaceForce,
     configuration_arrays,
 )
+from softcal_jax.contact import HalfSpace
 from softcal_jax.equilibrium import (
     NewtonSettings,
     build_model,
@@ -52,7 +55,7 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.fields._setup import QUANTITIES
+from softcal_jax.fields._setup import QUANTITIES, setup_parameters
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
@@ -67,7 +70,12 @@ MODEL = build_model(
     MESH,
     NeoHookean(5e5, 0.3),
     density=1000.0,
-    bodies=[RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0)))],
+    bodies=[
+        RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0))),
+        # The cushion is so thick that no point leaves it: all is smooth.
+        RigidBody("table", shape=HalfSpace(), origin=(0.0, 0.0, -0.075), friction=0.5),
+    ],
+    contact_scale=0.2,
     actuators=[
         Motor("m", "base"),
         Cable(
@@ -96,7 +104,10 @@ POSE = Configuration(
         BodyFrame("sensor", "base"),
         ActuatorForce("torque", "m", 0.0),
         SupportReaction("reaction", "x_max", (0.0, 0.0, 0.0)),
+        ContactForce("push", "table", measured=(0.0, 0.0, 0.0)),
+        ContactMoment("moment", "table", (1.0, 0.0, 0.0), 0.0),
     ),
+    bodies={"table": Pose((1e-3, 0.0, 0.0))},
     actuation={"m": ImposedDisplacement(0.2), "c": ImposedForce(0.5)},
     recording="tuesday",
 )
@@ -108,6 +119,8 @@ SPACE = ParameterSpace(
         Parameter("rho", "density", 1e3, 1e2, 1e4),
         motor_zero("m", limit=0.2, **KNOWN),
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
+        *mounting("table", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
+        *setup_parameters("contact_scale", nominal=0.2, limit=2.0, **KNOWN),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
         load_factor("payload", **KNOWN),
