@@ -56,7 +56,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam, to_quadratic
-from softcal_jax.robots import simulated_measurements
+from softcal_jax.robots import synthetic_measurements
 
 GOALS = {
     "hertz_error_percent": Goal("at most", 2.0),
@@ -296,8 +296,7 @@ def _read(
         )
         for pose, force in zip(poses, forces, strict=True)
     ]
-    z = space.to_scaled(jnp.asarray(list(TRUTH.values())))
-    return simulated_measurements(model, space, read, z, noise=True, seed=seed)
+    return synthetic_measurements(model, space, read, TRUTH, noise=True, seed=seed)
 
 
 def _unbalanced(

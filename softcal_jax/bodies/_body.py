@@ -406,6 +406,11 @@ class BodyStateArrays(Module):
         return start + load * jnp.asarray(self.rotation)
 
     @property
+    def is_present(self) -> Bool[HostArray, "*batch n_b"]:
+        """Which bodies are there."""
+        return np.asarray(self.kind) != KINDS.index("absent")
+
+    @property
     def is_guided(self) -> Bool[HostArray, "*batch n_b"]:
         """Which bodies are held, hinged or sliding."""
         guided = [KINDS.index(kind) for kind in ("held", "hinged", "sliding")]

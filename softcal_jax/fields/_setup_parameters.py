@@ -18,7 +18,6 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
-from softcal_jax.bodies import KINDS
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import (
     QUANTITIES,
@@ -162,11 +161,10 @@ def mounting(
 
 
 def _obstacles(poses: Poses) -> Mapping[str, Scope]:
-    bodies = poses.model.mechanism.bodies
-    which = list(poses.model.mechanism.contacts.body)
-    kind = np.asarray(poses.arrays.bodies.kind)[:, bodies.owner][:, which]
-    stands = np.any(kind != KINDS.index("absent"), axis=1)
-    return {"": tuple("" if some else None for some in stands)} if which else {}
+    mechanism = poses.model.mechanism
+    which = mechanism.bodies.owner[list(mechanism.contacts.body)]
+    stands = np.any(poses.arrays.bodies.is_present[:, which], axis=1)
+    return {"": tuple("" if some else None for some in stands)} if which.size else {}
 
 
 QUANTITIES["contact_scale"] = Quantity(
