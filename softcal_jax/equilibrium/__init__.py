@@ -60,6 +60,7 @@ from softcal_jax.equilibrium._posed import one_lane as one_lane
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState as ActuatorState,
     BodyPlace as BodyPlace,
+    ContactState as ContactState,
     Reaction as Reaction,
     RobotState as RobotState,
     actuator_states as actuator_states,
