@@ -172,11 +172,13 @@ def _grip(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
 
 
 def _local(
-    x: Float[Array, "n 3"], frame: Float[Array, "4 3"], length: Float[HostArray, ""]
+    x: Float[Array, "n 3"],
+    frame: Float[Array, "4 3"],
+    length: Float[Array | HostArray, ""],
 ) -> Float[Array, "n 3"]:
     """Return the coordinates of points in a frame, from the nodes of that [m]."""
     axes = (frame[1:] - frame[:1]) / length
-    return jnp.sum((x - frame[0])[:, None] * axes[None], axis=2)
+    return jnp.sum((x - frame[:1])[:, None] * axes[None], axis=2)
 
 
 def _points(contacts: Contacts, nodes: Float[Array, "n_fn 3"]) -> Float[Array, "_ 3"]:
@@ -355,7 +357,7 @@ def contact_readings(
         z, area, start = _positions(contacts, k, x, standing)
         of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
         on_frame = -jnp.sum(of_face(z, area, start)[:, -4:], axis=0)
-        arms = x[contacts.frames[k]] - x[contacts.frames[k][0]]
+        arms = x[contacts.frames[k]] - x[contacts.frames[k][:1]]
         local = lambda z: _local(_points(contacts, z[:-4]), z[-4:], contacts.length)
         at = partial(_point, contacts.shapes[k], contacts.scale)
         points = jax.vmap(jax.vmap(at))(*map(jax.vmap(local), (z, start)))

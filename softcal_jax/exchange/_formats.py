@@ -26,13 +26,13 @@ _ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
 
 def check_no_bodies(model: Model, format: str) -> None:
-    """Raise ValueError if a robot has obstacles, or bodies whose nodes turn together."""
+    """Raise ValueError if a robot has obstacles or rigid bodies."""
     names = ", ".join(model.mechanism.contacts.names)
     if names:
         raise ValueError(
-            f"the robot touches obstacles ({names}), and contact with them is not "
-            f"written to {format}. Take them out of the project, with what was measured "
-            "while it touched them, and calibrate again."
+            f"the robot touches obstacles ({names}), and contact is not written to "
+            f"{format}. Take them out of the project, with what was measured while it "
+            "touched them, and calibrate again."
         )
     names = ", ".join(model.mechanism.bodies.names)
     if names:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.bodies import BodyStateArrays
 from softcal_jax.configurations import standing
 from softcal_jax.contact import HalfSpace
@@ -111,7 +111,7 @@ def draw_obstacles(
 
     depth = model.mesh.points.mean(axis=0) @ view.towards
     for surface in placed_surfaces(model, obstacles):
-        corners = _seen(np.asarray(surface.points), surface.regular_faces, view)
+        corners = _seen(np.asarray(surface.points)[surface.regular_faces], view)
         behind = corners.mean(axis=(0, 1)) @ view.towards < depth
         style = {"facecolor": OBSTACLE, "edgecolor": "none", "alpha": _COVER}
         faces = PolyCollection(list(view.project(corners)), **style)
@@ -120,14 +120,12 @@ def draw_obstacles(
     name_obstacles(axes, view, model, obstacles)
 
 
-def _seen(
-    points: Float[HostArray, "n 3"], triangles: Int[HostArray, "m 3"], view: View
-) -> Float[HostArray, "k 3 3"]:
+def _seen(corners: Float[HostArray, "n 3 3"], view: View) -> Float[HostArray, "m 3 3"]:
     """Take the triangles on the side of the viewer, or all of what has one side."""
-    corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    outwards = np.sum(normals * (corners.mean(axis=1) - points.mean(axis=0)), axis=1)
-    towards = normals @ view.towards * np.sign(outwards.sum() or 1.0)
+    middles = corners.mean(axis=1)
+    outwards = np.sum(normals * (middles - middles.mean(axis=0)))
+    towards = normals @ view.towards * np.sign(outwards or 1.0)
     return corners[towards > 0.0] if (towards > 0.0).any() else corners
 
 
