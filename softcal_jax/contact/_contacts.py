@@ -129,7 +129,7 @@ def build_contacts(
         scale = FINE * float(mean) if obstacles else 1.0
     pad = -len(faces) % BLOCK
     apart = [~np.isin(faces, o.nodes).all(axis=1) for o in obstacles]
-    of_each = np.reshape(apart, (n_obstacles, -1, 1)) * areas
+    of_each = np.reshape(apart, (n_obstacles, len(faces), 1)) * areas
     to_array = lambda leaf: jnp.asarray(leaf, float)
     return Contacts(
         faces=np.concatenate([faces, np.repeat(faces[:1], pad, axis=0)]),
