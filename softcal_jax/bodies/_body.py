@@ -268,9 +268,10 @@ class BodyArrays(Module):
         return len(self.names)
 
     @property
-    def has_nodes(self) -> Bool[HostArray, " n_b"]:
+    def has_nodes(self) -> Bool[Array | HostArray, " n_b"]:
         """Which bodies have nodes of the mesh; obstacles may have none."""
-        return (np.arange(self.n_bodies)[:, None] == self.body[None]).any(axis=1)
+        every = np.arange(self.n_bodies, dtype=np.int32)
+        return (every[:, None] == self.body[None]).any(axis=1)
 
     @property
     def tied(self) -> Bool[Array, " n_b"]:

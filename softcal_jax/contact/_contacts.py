@@ -267,7 +267,7 @@ def contact_force(
 
 def contact_stiffness(
     contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
-) -> tuple[Float[Array, "n_faces 3*m 3*m"], ...]:
+) -> tuple[Float[Array, "n_faces _ _"], ...]:
     """Differentiate the force of each clique by the positions of its nodes [N/m]."""
     return tuple(
         _stiffness_of(contacts, k, x, standing) for k in range(contacts.n_obstacles)
