@@ -72,6 +72,8 @@ COUNTS = {"hertz": 3, "punch": 1, "press": 5, "drops": 200}
 
 E, NU = 1e5, 0.3
 NO_WEIGHT = (0.0, 0.0, 0.0)
+DOWN = (9.80665, 0.0, 0.0)
+"""Gravity of the finger, which hangs [m/s2]."""
 
 
 def run(options: Options) -> Outcome:
@@ -231,6 +233,7 @@ def _presses() -> list[Configuration]:
             Configuration(
                 f"{1e3 * x:g} mm",
                 ["x_min"],
+                gravity=DOWN,
                 bodies={"probe": state},
                 effectors=[ContactForce("cell", "probe", axis=(0.0, 0.0, 1.0))],
             )

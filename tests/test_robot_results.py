@@ -233,6 +233,7 @@ def fit_with_robot():
         (BodyPlace("plate", "free", np.ones(3), np.zeros(3), np.zeros(3)),),
         (ActuatorState("cable", "cable", "force", 1.5, "N", 2e-3, "m"),),
         (Reaction("x_min", np.array([-1.5, 0.0, 1e-12])),),
+        (),
         np.zeros((4, 3)),
     )
     effectors = (*fit.points, turn, length)

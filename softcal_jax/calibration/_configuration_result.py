@@ -52,8 +52,8 @@ class ConfigurationResult(Module):
         rounding: Relative residual that rounding leaves, see `EquilibriumSolution` [-].
         at_rounding: Whether Newton stopped at rounding, with a residual above `rtol`.
         min_det_F: Its smallest det F [-].
-        robot: Rigid bodies, actuators and reactions; None without an equilibrium, and
-            for a body without rigid bodies and actuators.
+        robot: Rigid bodies, actuators, reactions and contacts; None without an
+            equilibrium, and for a body without rigid bodies and actuators.
         W_ep: Compliances of the rows of its effectors, in their units, per unit of
             lambda_p; None where nothing was calibrated.
         columns: Errors that coordinates share, in the order of the effectors, in units

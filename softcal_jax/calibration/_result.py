@@ -12,6 +12,7 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._contact_doubts import contact_doubts
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks
 from softcal_jax.calibration._problem import CalibrationSettings
@@ -348,6 +349,11 @@ class CalibrationResult(Result):
         )
 
     @property
+    def contact_doubts(self) -> tuple[str, ...]:
+        """Where contact is not what the model takes it for, one sentence each."""
+        return contact_doubts(self.model.mechanism.contacts, self.configurations)
+
+    @property
     def missed(self) -> float:
         """Error of all held-out poses over their motion; 0 without any [-]."""
         poses = [c for c in self.configurations if c.role == "validation" and c.points]
@@ -393,7 +399,8 @@ class CalibrationResult(Result):
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]
-        lines += [f"  Doubt: {reason}" for reason in self.doubts]
+        doubts = *self.doubts, *self.contact_doubts
+        lines += [f"  Doubt: {reason}" for reason in doubts]
         lines += [f"  Mistake? {sentence}" for sentence in self.mistakes]
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 

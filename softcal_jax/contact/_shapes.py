@@ -97,7 +97,7 @@ class Ball(AbstractShape):
     def drawn(self, size: float) -> "PolyData":
         import pyvista as pv
 
-        return pv.Sphere(self.radius)
+        return pv.Sphere(radius=self.radius, theta_resolution=36, phi_resolution=36)
 
 
 class Capsule(AbstractShape):
@@ -125,12 +125,7 @@ class Capsule(AbstractShape):
         return 0.5 * self.radius
 
     def drawn(self, size: float) -> "PolyData":
-        import pyvista as pv
-
-        ends = [(0.0, 0.0, sign * 0.5 * self.length) for sign in (-1.0, 1.0)]
-        tube = pv.Line(*ends).tube(self.radius, n_sides=48)
-        balls = [pv.Sphere(self.radius, center=end) for end in ends]
-        return pv.merge([tube, *balls]).extract_surface()
+        return _revolved(self.radius, self.length + 2.0 * self.radius, self.radius)
 
 
 class RoundedCylinder(AbstractShape):
@@ -161,17 +156,21 @@ class RoundedCylinder(AbstractShape):
         return 0.5 * min(self.radius, 0.5 * self.length)
 
     def drawn(self, size: float) -> "PolyData":
-        import pyvista as pv
+        return _revolved(self.radius, self.length, self.rounding)
 
-        turn = np.linspace(0.0, 0.5 * np.pi, 7)
-        r = self.radius - self.rounding * (1.0 - np.cos(turn))
-        z = 0.5 * self.length - self.rounding * (1.0 - np.sin(turn))
-        r, z = np.append(r, 0.0), np.append(z, z[-1])
-        r, z = np.append(r[::-1], r), np.append(-z[::-1], z)
-        outline = np.column_stack([r, np.zeros_like(r), z])
-        return pv.lines_from_points(outline).extrude_rotate(
-            resolution=48, capping=False
-        )
+
+def _revolved(radius: float, length: float, rounding: float) -> "PolyData":
+    """Make the surface of a cylinder along the third axis, with rounded edges."""
+    import pyvista as pv
+
+    turn = np.linspace(0.0, 0.5 * np.pi, 9)
+    r = radius - rounding * (1.0 - np.cos(turn))
+    z = 0.5 * length - rounding * (1.0 - np.sin(turn))
+    r, z = np.append(r, 0.0), np.append(z, z[-1])
+    r, z = np.append(r[::-1], r), np.append(-z[::-1], z)
+    outline = pv.lines_from_points(np.column_stack([r, np.zeros_like(r), z]))
+    surface = outline.extrude_rotate(resolution=48, capping=False)
+    return surface.triangulate().clean(tolerance=1e-6)
 
 
 class RoundedBox(AbstractShape):
@@ -201,7 +200,7 @@ class RoundedBox(AbstractShape):
         import pyvista as pv
 
         a, b, c = (0.5 * side for side in self.size)
-        return pv.Box((-a, a, -b, b, -c, c))
+        return pv.Box(bounds=(-a, a, -b, b, -c, c))
 
 
 def _fits(what: str, rounding: float, *largest: float) -> None:
@@ -225,14 +224,14 @@ class DistanceGrid(AbstractShape):
         deepest: Largest distance of a point inside from the surface [m].
     """
 
-    coefficients: Float[Array, "n_x n_y n_z"]
+    coefficients: Float[Array | HostArray, "n_x n_y n_z"]
     origin: Float[HostArray, "3"]
     spacing: float
     deepest: float
 
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         at = (y - jnp.asarray(self.origin)) / self.spacing
-        last = jnp.array(self.coefficients.shape) - 3.0
+        last = jnp.array(self.coefficients.shape, float) - 3.0
         inside = jnp.clip(at, 1.0, last)
         low = jnp.floor(jax.lax.stop_gradient(jnp.minimum(inside, last - 1e-9)))
         weights = jax.vmap(_spline_weights)(inside - low)
@@ -279,7 +278,7 @@ def read_surface(
     import pyvista as pv
 
     surface: Any = pv.read(path)
-    surface = surface.extract_surface().triangulate().clean()
+    surface = surface.triangulate().clean()
     if surface.n_cells == 0 or surface.n_open_edges > 0:
         raise ValueError(
             f"{path} has {surface.n_cells} triangles and {surface.n_open_edges} open "

@@ -91,6 +91,7 @@ class RobotState(Module):
 
     Attributes:
         reactions: Of supports, then of rigid bodies that are held or turn on a hinge.
+        contacts: With the obstacles that are there.
         displacement: Displacement of the nodes of mesh and body frames [m].
     """
 
@@ -157,12 +158,13 @@ def _state(
         Reaction(name, of_nodes(model, lane, state))
         for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
-    felt = zip(model.mechanism.contacts.names, state.contacts, strict=True)
-    contacts = tuple(
-        ContactState(name, force, moment, *map(float, others))
-        for name, (force, moment, *others) in felt
+    obstacles = model.mechanism.contacts
+    contacts = (
+        ContactState(bodies.names[k], felt.force, felt.moment, *map(float, felt[2:]))
+        for k, felt in zip(obstacles.body, state.contacts, strict=True)
+        if KINDS[int(of_bodies[bodies.owner[k]])] != "absent"
     )
-    return RobotState(tuple(places), actuators, tuple(reactions), contacts, u)
+    return RobotState(tuple(places), actuators, tuple(reactions), tuple(contacts), u)
 
 
 def actuator_states(

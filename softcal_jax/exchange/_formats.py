@@ -26,11 +26,18 @@ _ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
 
 def check_no_bodies(model: Model, format: str) -> None:
-    """Raise ValueError if a robot has rigid bodies, whose nodes turn together."""
-    names = model.mechanism.bodies.names
+    """Raise ValueError if a robot has obstacles or rigid bodies."""
+    names = ", ".join(model.mechanism.contacts.names)
     if names:
         raise ValueError(
-            f"the robot has rigid bodies ({', '.join(names)}), which are not written "
+            f"the robot touches obstacles ({names}), and contact is not written to "
+            f"{format}. Take them out of the project, with what was measured while it "
+            "touched them, and calibrate again."
+        )
+    names = ", ".join(model.mechanism.bodies.names)
+    if names:
+        raise ValueError(
+            f"the robot has rigid bodies ({names}), which are not written "
             f"to {format}. A body that is held: name its nodes in `supports` instead. "
             "A plate that only carries markers: leave it out, give [markers] "
             "`max_distance` and `base_radius`, and calibrate again."

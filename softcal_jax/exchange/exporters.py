@@ -108,8 +108,8 @@ class _InpExporter(AbstractExporter):
         "or Abaqus: mesh, law, supports, loads and pressures, in SI."
     )
     cannot_hold = (
-        "rigid bodies, cables, motors, imposed displacements of actuators, and laws "
-        "that both programs lack"
+        "rigid bodies, contact with obstacles, cables, motors, imposed displacements "
+        "of actuators, and laws that both programs lack"
     )
     output = "FILE.inp", "the file"
 
@@ -198,8 +198,8 @@ class _SofaExporter(AbstractExporter):
         "these values, and how to run it. Says what both models predict."
     )
     cannot_hold = (
-        "rigid bodies, cables with friction, motors, elastic supports that are moved, "
-        "and laws that SOFA lacks"
+        "rigid bodies, contact with obstacles, cables with friction, motors, elastic "
+        "supports that are moved, and laws that SOFA lacks"
     )
     output = "DIR", "folder for the scene"
     next_step = "README.md there says how to run it"
@@ -252,8 +252,9 @@ class _MujocoExporter(AbstractExporter):
         "keyframe per configuration, for MuJoCo 4. Says what both models predict."
     )
     cannot_hold = (
-        "rigid bodies, motors, chambers, cables with friction, what is moved by an "
-        "imposed displacement, and laws with more constants than E and nu"
+        "rigid bodies, contact with obstacles, motors, chambers, cables with friction, "
+        "what is moved by an imposed displacement, and laws with more constants than E "
+        "and nu"
     )
     output = "DIR", "folder for the model"
     next_step = "python -m mujoco.viewer --mjcf=robot.xml shows it"

@@ -52,7 +52,7 @@ def _values(effector: EffectorRecord) -> list[Float[HostArray, " k"]]:
 
 
 def write_robot_csv(path: Path, configurations: Configurations) -> None:
-    """Write one line per value of rigid bodies, actuators and reactions, in SI."""
+    """Write a line per value of bodies, actuators, reactions and contacts, in SI."""
     header = ["configuration", "part", "name", "what", "quantity", "value", "unit"]
     rows = [
         [result.name, *words, _text(value), unit]
@@ -82,6 +82,18 @@ def _robot_rows(robot: RobotState):
         head = ("reaction", reaction.name, "force of the ground")
         for axis, value in zip("xyz", reaction.force, strict=True):
             yield *head, f"force_{axis}", value, "N"
+    yield from _contact_rows(robot)
+
+
+def _contact_rows(robot: RobotState):
+    units = {"force": "N", "moment": "N m", "area": "m2", "depth": "m", "sliding": "-"}
+    for contact in robot.contacts:
+        head = ("contact", contact.name, "obstacle")
+        for what, unit in units.items():
+            values = np.atleast_1d(getattr(contact, what))
+            axes = [f"_{axis}" for axis in "xyz"] if len(values) > 1 else [""]
+            for axis, value in zip(axes, values.tolist(), strict=True):
+                yield *head, f"{what}{axis}", value, unit
 
 
 def _text(value: float, digits: str = ".9g") -> str:

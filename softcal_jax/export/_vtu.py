@@ -88,7 +88,8 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     origins of rigid bodies, then motors and forces. Per cell: `actuator` and
     `rigid_body` (index in the model plus 1, 0 for none), `lambda_a` and `delta_a` in
     SI. Per vertex: `arrow`, the axis of a motor or direction of a force, and `axis_1`
-    to `axis_3`, the axes of a rigid body's frame [-].
+    to `axis_3`, the axes of a rigid body's frame [-]; with obstacles `contact_force`
+    [N] and `contact_moment` [N m], what the robot does to them.
     """
     import pyvista
     from pyvista import CellType
@@ -112,6 +113,8 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     axes = (frames[:, 1:] - frames[:, :1]) / mechanism.bodies.length
     vectors = {f"axis_{k + 1}": axes[:, k] for k in range(3)}
     vectors["arrow"] = np.concatenate([np.zeros((n_b, 3)), after.arrows])
+    if mechanism.contacts.n_obstacles:
+        vectors |= _felt(mechanism.bodies.names, state)
 
     # Kind and points of the cells, and the index of the actuator of each, -1 for none.
     vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
@@ -138,6 +141,13 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     grid.cell_data["lambda_a"] = forces[owner]
     grid.cell_data["delta_a"] = moves[owner]
     _save(path, grid)
+
+
+def _felt(bodies: Sequence[str], state: RobotState) -> dict[str, HostArray]:
+    """Return forces and moments on bodies, zero where nothing touches one."""
+    felt = {contact.name: contact for contact in state.contacts}
+    of = lambda what: [getattr(felt.get(name), what, np.zeros(3)) for name in bodies]
+    return {f"contact_{what}": np.array(of(what)) for what in ("force", "moment")}
 
 
 def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:

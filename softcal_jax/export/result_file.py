@@ -11,7 +11,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from softcal_jax import calibration
 from softcal_jax.calibration import CorrelatedNoise, LeftOut
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
+from softcal_jax.equilibrium import (
+    ActuatorState,
+    BodyPlace,
+    ContactState,
+    Reaction,
+    RobotState,
+)
 from softcal_jax.export._made import pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
@@ -130,7 +136,7 @@ class ParameterEntry(Entry):
 
 
 class RobotEntry(Entry):
-    """Rigid bodies, actuators and reactions at an equilibrium."""
+    """Rigid bodies, actuators, reactions and contacts at an equilibrium."""
 
     of = RobotState
     rigid_bodies: Annotated[
@@ -138,6 +144,9 @@ class RobotEntry(Entry):
     ] = Field(default=None, validation_alias="bodies")
     actuators: Annotated[Any, Keys(ActuatorState)] = None
     reactions: Annotated[Any, Keys(Reaction)] = None
+    contacts: Annotated[Any, Keys(ContactState)] = None
+    """What obstacles feel: `area` and `depth` of the contact, in SI, and the share of
+    the area that is `sliding`."""
 
 
 class ConfigurationEntry(Entry):

@@ -84,10 +84,10 @@ class Assessment(Result):
     Attributes:
         outcome: "trust" if no check speaks against the values: the fit and its noise
             converged, its residuals are no larger than stated errors, every
-            configuration is explained, no parameter sits on a bound, no other optimum
-            fits as well, tets do not lock, and all are known as well as was asked. "do
-            not use" if it did not converge, or misses the data by far, see `MISSED` and
-            `FAR_OUT`. Otherwise "take with care".
+            configuration is explained, contact is as modelled, no parameter sits on a
+            bound, no other optimum fits as well, tets do not lock, and all are known as
+            well as was asked. "do not use" if it did not converge, or misses the data
+            by far, see `MISSED` and `FAR_OUT`. Otherwise "take with care".
         reasons: Why it is no more than that, the weightiest first.
         contradicted: Whether the model contradicts the data.
         misfit_probability: Probability of residuals this large if model and stated
@@ -181,7 +181,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         precision=result.precision if precision is None else precision,
     )
     fatal = _fatal(result)
-    checks = [*fatal, *result.doubts]
+    checks = [*fatal, *result.doubts, *result.contact_doubts]
     checks += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     checks += _too_coarse(result, report)
     checks += _unseen(report)

@@ -20,6 +20,11 @@ from softcal_jax.plotting._figure import (
     MARKS as MARKS,
 )
 from softcal_jax.plotting._groups import plot_groups as plot_groups
+from softcal_jax.plotting._obstacles import (
+    PlacedObstacle as PlacedObstacle,
+    obstacle_surface as obstacle_surface,
+    obstacles_at as obstacles_at,
+)
 from softcal_jax.plotting._plan import (
     MOST_PANELS as MOST_PANELS,
     plot_plan as plot_plan,

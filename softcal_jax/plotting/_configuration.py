@@ -16,6 +16,11 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _figure as figures, _robot as robots
 from softcal_jax.plotting._figure import add_axes, add_view, pixel_figure, save
+from softcal_jax.plotting._obstacles import (
+    name_obstacles,
+    obstacles_at,
+    placed_surfaces,
+)
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view, fit_body
 
@@ -129,7 +134,7 @@ def render_body(
         simulated: Simulated marker positions [m].
         marker_names: Names beside the markers.
         warning: Printed large and red above the title.
-        robot: Rigid bodies, drawn grey, and actuators with their forces.
+        robot: Rigid bodies, drawn grey, obstacles, and actuators with their forces.
         sensors: Poses of 6-D sensors.
         posed: The configuration, whose supports, dead loads and gravity are drawn.
         labels: What the legend calls `measured` and `simulated`.
@@ -154,8 +159,15 @@ def render_body(
     width = _WIDTH - _SIDE
     scale, height = fit_body(view, width, _MARGIN, _LOWEST, _HIGHEST)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
+    around = [] if robot is None else obstacles_at(model, robot)
     pixels = body_image(
-        model, u, view, size=(width, height), scale=scale, largest_mm=largest
+        model,
+        u,
+        view,
+        size=(width, height),
+        scale=scale,
+        largest_mm=largest,
+        obstacles=placed_surfaces(model, around),
     )
     top = _TOP + (figures.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM
@@ -170,8 +182,11 @@ def render_body(
             drawn.append(name)
     if {"measured", "simulated"} <= {*drawn}:
         drawn.append("distance")
-    if model.mechanism.bodies.n_bodies:
+    if model.mechanism.bodies.has_nodes.any():
         drawn.append("rigid body")
+    if around:
+        drawn.append("obstacle")
+        name_obstacles(body, view, model, around)
     if posed is not None:
         drawn += robots.draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:

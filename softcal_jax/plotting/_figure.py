@@ -81,7 +81,7 @@ DISPLACEMENT_MAP = "viridis"
 
 # What is drawn beside the soft body.
 CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
-FORCE, RIGID = "#1b7837", "#b4b4b4"
+FORCE, RIGID, OBSTACLE = "#1b7837", "#b4b4b4", "#9aa0a6"
 
 # How the body is held, and its weight.
 SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
@@ -98,6 +98,7 @@ MARKS = {
     "load": FORCE,
     "gravity": GRAVITY,
     "rigid": RIGID,
+    "obstacle": OBSTACLE,
     "frame": GRAVITY,
     "fibre": FIBRE,
 }
@@ -118,6 +119,7 @@ SYMBOLS: dict[str, dict[str, Any]] = {
     "gravity": {"color": GRAVITY, "lw": 3.0, "marker": "v", "ms": 8},
     "sensor's axes": {"color": SIMULATED, "lw": 2.2},
     "rigid body": {"color": RIGID, "lw": 9.0},
+    "obstacle": {"color": OBSTACLE, "lw": 9.0, "alpha": 0.5},
     "cable": {"color": CABLE, "lw": 3.0},
     "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
     "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     BodyFrame,
@@ -30,6 +31,7 @@ from softcal_jax.plotting._figure import (
     pixel_figure,
     save,
 )
+from softcal_jax.plotting._obstacles import draw_obstacles, obstacles_at_start
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
@@ -61,8 +63,8 @@ def plot_plan(
     """
     mesh, fibres = model.mesh, _fibre_directions(model)
     shown = configurations[:MOST_PANELS]
-    lanes = configuration_lanes(mesh, shown, model.mechanism).effectors
-    markers = [[p for p in records if p.quantity == "point"] for records in lanes]
+    lanes = configuration_lanes(mesh, shown, model.mechanism)
+    markers = [[p for p in rows if p.quantity == "point"] for rows in lanes.effectors]
     pictures = [robots.robot_picture(model, _at_rest(model, c)) for c in shown]
     numbered = np.zeros((0, 3)) if control_points is None else control_points
     more = [numbered, *(picture.points for picture in pictures)]
@@ -92,6 +94,9 @@ def plot_plan(
         figures.draw_faces(axes, view, faces.corners, grey)
         if fibres is not None:
             _draw_fibres(axes, view, faces, fibres)
+        around = obstacles_at_start(model, lane_of(lanes.arrays.bodies, k))
+        draw_obstacles(axes, view, model, around)
+        drawn |= {"obstacle"} if around else set()
         drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
         for i, flat in enumerate(view.project(numbered)):
             axes.plot(*flat, **SYMBOLS["control point"])
@@ -142,7 +147,8 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
                 displacement_unit=kind.displacement_unit,
             )
         )
-    return RobotState((), tuple(states), (), np.zeros_like(model.mechanism.points))
+    still = np.zeros_like(model.mechanism.points)
+    return RobotState((), tuple(states), (), (), still)
 
 
 def _draw_configuration(
@@ -155,7 +161,7 @@ def _draw_configuration(
 ) -> set[str]:
     """Draw one configuration; return what was drawn, for the legend."""
     _draw_bodies(axes, view, model, c)
-    drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
+    drawn = {"rigid body"} if model.mechanism.bodies.has_nodes.any() else set()
     drawn.update(robots.draw_setup(axes, view, c, model.mesh, model.mesh.points))
     drawn.update(robots.draw_robot(axes, view, picture))
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
@@ -185,8 +191,8 @@ def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -
 
     bodies, mesh = model.mechanism.bodies, model.mesh
     faces = boundary_faces(mesh)[:, :3]
-    for k, name in enumerate(bodies.names):
-        nodes = bodies.attached[bodies.body == k]
+    for k in np.flatnonzero(bodies.has_nodes):
+        name, nodes = bodies.names[k], bodies.attached[bodies.body == k]
         covered = faces[np.isin(faces, nodes).all(axis=1)]
         corners = list(view.project(mesh.points[covered]))
         style = {"facecolor": RIGID, "edgecolor": FAINT, "lw": 0.6, "alpha": 0.75}

@@ -9,7 +9,7 @@ import ctypes
 import functools
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import Tessellation, tessellate
-from softcal_jax.plotting._figure import DISPLACEMENT_MAP, OUTLINE, RIGID
+from softcal_jax.plotting._figure import DISPLACEMENT_MAP, OBSTACLE, OUTLINE, RIGID
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
 _GHOST = "#ececec"  # colour of the body at rest
+_ROUND = {"smooth_shading": True, "split_sharp_edges": True}
+_STRENGTHS = 1.0, 1.0, 0.5, 0.45  # of the body at rest, deformed, obstacles, outline
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 _REMEDY = (
@@ -125,10 +127,12 @@ def body_image(
     size: tuple[int, int],
     scale: float,
     largest_mm: float,
+    obstacles: "Sequence[pyvista.PolyData]" = (),
 ) -> Int[HostArray, "height width 3"]:
     """Draw the deformed body, coloured by displacement, over the outline at rest.
 
-    The size is in pixels, the scale in pixels per metre.
+    The size is in pixels, the scale in pixels per metre. Obstacles are half transparent
+    and do not change what is visible.
     """
     import pyvista
 
@@ -153,12 +157,11 @@ def body_image(
                     scalars="displacement",
                     cmap=DISPLACEMENT_MAP,
                     clim=[0.0, largest_mm or 1.0],
-                    smooth_shading=True,
-                    split_sharp_edges=True,
                     ambient=0.55,
                     diffuse=0.5,
                     specular=0.05,
                     show_scalar_bar=False,
+                    **_ROUND,
                 ),
                 plotter.add_mesh(
                     _edges(deformed(whole)), color="black", opacity=0.55, line_width=3.6
@@ -166,6 +169,10 @@ def body_image(
             ]
             if rigid.any():
                 body.append(plotter.add_mesh(deformed(rigid), color=RIGID, ambient=0.4))
+            around = [
+                plotter.add_mesh(surface, color=OBSTACLE, ambient=0.4, **_ROUND)
+                for surface in obstacles
+            ]
             camera = plotter.camera
             distance = 10.0 * (model.mesh.size + view.width + view.height)
             camera.focal_point = tuple(view.centre)
@@ -175,15 +182,17 @@ def body_image(
             camera.parallel_scale = 0.5 * height / scale
             plotter.renderer.ResetCameraClippingRange()
             # Draw in layers, since overlapping surfaces would hide parts of each other:
-            # the body at rest, the deformed one, and the outline faintly over both.
+            # the body at rest, the deformed one, obstacles in front of it, and the
+            # outline faintly over all.
+            actors = [*ghost, *body, *around]
             layers = [
-                _layer(plotter, shown, [*ghost, *body])
-                for shown in (ghost, body, ghost[1:])
+                _layer(plotter, shown, actors)
+                for shown in (ghost, body, [*body, *around], ghost[1:])
             ]
         finally:
             plotter.close()
     picture = np.full((height, width, 3), 255.0, np.float32)
-    for (colour, cover), strength in zip(layers, (1.0, 1.0, 0.45), strict=True):
+    for (colour, cover), strength in zip(layers, _STRENGTHS, strict=True):
         picture += strength * (colour - cover * picture)
     return np.rint(picture).astype(np.int32)
 

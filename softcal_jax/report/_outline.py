@@ -79,6 +79,8 @@ def outline(
     yield from _section("Model", (), _model(model))
     head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
     yield from _section("Rigid bodies", head, _bodies(model))
+    head = ("name", "shape", "coefficient of friction")
+    yield from _section("Obstacles", head, _obstacles(model))
     yield from _section("Actuators", ("name", "kind", "at rest"), _actuators(model))
     head = ("name", "at rest [mm]", "mesh", "")
     yield from _section("Markers", head, _markers(mesh, posed))
@@ -135,6 +137,13 @@ def _bodies(model: Model) -> Iterator[tuple[str, ...]]:
             f"{1e3 * mass:.4g} g" if mass else "",
             "" if owner == k else bodies.names[owner],
         )
+
+
+def _obstacles(model: Model) -> Iterator[tuple[str, ...]]:
+    contacts = model.mechanism.contacts
+    shapes = (type(shape).__name__ for shape in contacts.shapes)
+    friction = (f"{value:g}" if value else "-" for value in contacts.friction)
+    yield from zip(contacts.names, shapes, friction, strict=True)
 
 
 def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
@@ -340,10 +349,12 @@ def _commands(project: Project) -> Rows:
             # Where there are several, the first line only counts them.
             rows.append((f"softcal {command}", f"would refuse: {first}"))
             rows += [("", other) for other in others]
-    bodies = project.model.mechanism.bodies.names
+    mechanism = project.model.mechanism
+    obstacles, bodies = mechanism.contacts.names, mechanism.bodies.names
     if bodies:
         programs = "SOFA, MuJoCo, CalculiX or Abaqus"
-        plain = f"not for {programs}: rigid bodies ({', '.join(bodies)})"
+        what = "contact with obstacles" if obstacles else "rigid bodies"
+        plain = f"not for {programs}: {what} ({', '.join(obstacles or bodies)})"
         rows.append(("softcal export", plain))
     return rows
 

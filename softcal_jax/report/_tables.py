@@ -1,7 +1,7 @@
 """What robots do and what a calibration found, in tables and sentences."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.console import Group
@@ -17,7 +17,7 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.equilibrium import ActuatorState, Model
+from softcal_jax.equilibrium import ActuatorState, ContactState, Model
 from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._verdict import TONES, listed_fits, value_of
@@ -45,10 +45,11 @@ def simulation_tables(result: SimulationResult) -> list[TextTable]:
 
 
 def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
-    """Tabulate actuators, rigid bodies, reactions, and effectors that are no points."""
+    """Tabulate the state of the robot, and effectors that are no points."""
     roles = {result.role for result in configurations}
-    fitted = roles != {"simulation"}
-    values = ["measured", "before", "after"] if fitted else ["simulated"]
+    values = ["measured", "before", "after"]
+    if roles == {"simulation"}:
+        values = ["simulated"]
     if "prediction" in roles:
         values = ["measured", "simulated"]
     if "design" in roles:
@@ -58,21 +59,11 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
         "Actuators": ["actuator", "force or pressure", "displacement or growth"],
         "Rigid bodies": ["rigid body", "state", "displacement", "rotation"],
         "Reactions": ["of", "force of the ground (x, y, z)"],
+        "Contacts": ["with", "force (x, y, z)", "moment", "area", "depth", "sliding"],
     }
     rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}
     for result in configurations:
-        for effector in result.others:
-            if effector.is_turn and fitted:
-                continue  # another table shows the errors of turns
-            name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
-            vectors = {
-                "measured": effector.measured,
-                "goal": effector.measured,
-                "before": effector.simulated_before,
-            }
-            of_value = (vectors.get(value, effector.simulated) for value in values)
-            shown = [_values(effector, vector) for vector in of_value]
-            rows["Other effectors"].append((result.name, name, *shown))
+        rows["Other effectors"] += _effector_rows(result, values)
         robot = result.robot
         if robot is None:
             continue
@@ -86,11 +77,41 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
         for reaction in robot.reactions:
             force = readable_values(list(reaction.force), "N")
             rows["Reactions"].append((result.name, reaction.name, force))
+        for contact in robot.contacts:
+            rows["Contacts"].append((result.name, *contact_row(contact)))
     return [
         text_table(title, ("configuration", *columns), rows[title])
         for title, columns in titles.items()
         if rows[title]
     ]
+
+
+def _effector_rows(
+    result: ConfigurationResult, values: Sequence[str]
+) -> Iterator[tuple[str, ...]]:
+    for effector in result.others:
+        if effector.is_turn and values != ["simulated"]:
+            continue  # another table shows the errors of turns
+        name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
+        vectors = {
+            "measured": effector.measured,
+            "goal": effector.measured,
+            "before": effector.simulated_before,
+        }
+        of_value = (vectors.get(value, effector.simulated) for value in values)
+        yield (result.name, name, *(_values(effector, v) for v in of_value))
+
+
+def contact_row(contact: ContactState) -> list[str]:
+    """Write what an obstacle feels."""
+    if contact.area == 0.0:
+        return [contact.name, "not touched", *4 * ["-"]]
+    vectors = readable_values(list(contact.force), "N", digits=4)
+    moment = readable_values(list(contact.moment), "N m", digits=4)
+    area = readable_values([contact.area], "m2", digits=3)
+    depth = readable_values([contact.depth], "m", digits=3)
+    sliding = f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-"
+    return [contact.name, vectors, moment, area, depth, sliding]
 
 
 def actuator_values(actuator: ActuatorState) -> dict[str, str]:

@@ -29,6 +29,7 @@ _SHOWN = {
     "rest": ("body at rest", True),
     "markers": ("markers", True),
     "robot": ("cables, walls, motors", True),
+    "obstacles": ("obstacles", True),
     "loads": ("loads and gravity", True),
     "frames": ("frames", True),
     "fibres": ("fibres", False),
@@ -62,6 +63,7 @@ _MARKS = {
     "load": ("load", _ARROW, "loads"),
     "gravity": ("gravity", _ARROW, "loads"),
     "rigid": ("rigid body", _PATCH, ""),
+    "obstacle": ("obstacle", _PALE, "obstacles"),
     "frame": ("frame of a rigid body", _AXES, "frames"),
     "fibre": ("fibre", _HATCH, "fibres"),
 }
@@ -233,7 +235,7 @@ def _marks(data: Mapping[str, Any]) -> list[str]:
     """List the marks that occur in the data, in the order of the legend."""
     poses = data["configurations"]
     keys = {"cable": "cables", "wall": "walls", "motor": "motors"}
-    keys |= {"gravity": "gravity", "fibre": "fibres"}
+    keys |= {"gravity": "gravity", "fibre": "fibres", "obstacle": "obstacles"}
     present = {mark for mark, key in keys.items() if any(pose[key] for pose in poses)}
     points = [point for pose in poses for point in pose["markers"]]
     present |= {k for k in ("measured", "simulated") if any(p[k] for p in points)}

@@ -49,6 +49,8 @@ def view_data(
     points = [rest + 1e3 * surface.cut.interpolate(u) for u in moved]
     fibres = [_fibres(model, surface, u) for u in moved]
     robots = [robot_data(model, pose) for pose in shown]
+    n_obstacles = model.mechanism.contacts.n_obstacles
+    obstacles = [plotting.obstacle_surface(model, k) for k in range(n_obstacles)]
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
     low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
     placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
@@ -83,6 +85,9 @@ def view_data(
         "view": _first_view(model, shown, robots),
         "fields": [_field(field) for field in fields],
         "configurations": entries,
+        "shapes": [_shape(surface) for surface in obstacles],
+        # More than the diagonal of the box, and far enough for what stands beside.
+        "farthest": 1.8 * _MOST * step + _reach(low, obstacles, robots),
     }
 
 
@@ -176,15 +181,18 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
         `cables` (`name`, `slack`, `segments`), `walls`: corners of the faces under
         pressure, `wallNames` (`name`, `at`), `arrows` (`kind`, `name`, `tip`,
         `towards`), `motors` (`name`, `at`, `axis`), `frames` (`kind`, `name`, `at`,
-        `axes`), `gravity`: its direction or None, and `reach`: points that must be in
-        the view. Without an equilibrium there is only gravity.
+        `axes`), `obstacles` (`shape`, `name`, `at`, `axes`), `gravity`: its direction
+        or None, and `reach`: points that must be in the view. Without an equilibrium
+        there is only gravity.
     """
     data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
-    data |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
+    empty = "cables wallNames arrows motors frames obstacles"
+    data |= {k: [] for k in empty.split()}
     if result.converged and result.robot is not None:
         picture = plotting.robot_picture(model, result.robot)
         _add_actuators(data, picture)
         data["frames"] += _bodies(model, picture)
+        data["obstacles"] += map(_obstacle, plotting.obstacles_at(model, result.robot))
     if result.converged:
         for frame in plotting.sensor_frames(result):
             kind = "measured" if frame.is_measured else "simulated"
@@ -225,12 +233,44 @@ def _add_actuators(data: dict[str, Any], picture: plotting.RobotPicture) -> None
 
 
 def _bodies(model: Model, picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
-    """Yield the frames of rigid bodies."""
+    """Yield the frames of rigid bodies, but of none that only stands beside."""
     frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
     axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
-    for body, x, a in zip(picture.state.bodies, frames[:, 0], axes, strict=True):
-        place = {"at": _mm(x), "axes": a.tolist()}
-        yield {"kind": "frame", "name": escaped(body.name), **place}
+    bodies = model.mechanism.bodies
+    for k in np.flatnonzero(bodies.has_nodes):
+        place = {"at": _mm(frames[k, 0]), "axes": axes[k].tolist()}
+        yield {"kind": "frame", "name": escaped(bodies.names[k]), **place}
+
+
+def _shape(surface: Any) -> dict[str, str]:
+    """Pack triangles, points [mm] and normals of the surface of an obstacle."""
+    surface = surface.compute_normals(
+        cell_normals=False, split_vertices=True, consistent_normals=True
+    )
+    normals = surface.point_data["Normals"]
+    points = 1e3 * np.asarray(surface.points)
+    return {
+        "triangles": pack(surface.regular_faces.astype("<u4")),
+        "points": pack(points.astype("<f4")),
+        "normals": pack(np.asarray(normals).astype("<f4")),
+    }
+
+
+def _reach(
+    corner: Float[HostArray, "3"],
+    surfaces: Sequence[Any],
+    robots: Sequence[Mapping[str, Any]],
+) -> float:
+    """Compute how far obstacles reach from a corner of the box of the robot [mm]."""
+    sizes = [1e3 * np.linalg.norm(s.points, axis=1).max() for s in surfaces]
+    placed = [obstacle for robot in robots for obstacle in robot["obstacles"]]
+    far = lambda o: np.linalg.norm(o["at"] - corner) + sizes[o["shape"]]
+    return float(max(map(far, placed), default=0.0))
+
+
+def _obstacle(obstacle: plotting.PlacedObstacle) -> dict[str, Any]:
+    place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
+    return {"shape": obstacle.index, "name": escaped(obstacle.name), **place}
 
 
 def _loads(

@@ -53,23 +53,22 @@
     }`;
   const BODY = `#version 300 es
     precision highp float;
-    uniform sampler2D map; uniform vec3 grey;
+    uniform sampler2D map; uniform vec3 grey; uniform float cover;
     in vec3 n; in float v; out vec4 colour;
     void main() {
       vec3 base = v < 0.0 ? grey : texture(map, vec2(v, 0.5)).rgb;
       vec3 m = normalize(n);
       if (m.z < 0.0) m = -m;
       float light = 0.74 + 0.3 * max(dot(m, normalize(vec3(-0.3, 0.5, 0.8))), 0.0);
-      colour = vec4(base * light, 1.0);
+      colour = vec4(base * light, 1.0) * cover;
     }`;
   const PLAIN = `#version 300 es
     precision highp float;
     uniform vec4 flat_colour; in vec3 n; in float v; out vec4 colour;
     void main() { colour = vec4(flat_colour.rgb, 1.0) * flat_colour.a; }`;
-  const farthest = 1.8 * data.step * NONE; // more than the diagonal of the box
   const program = (fragment) => {
     const made = gl.createProgram();
-    const vertex = VERTEX.replace("DEPTH", (1 / farthest).toExponential(6));
+    const vertex = VERTEX.replace("DEPTH", (1 / data.farthest).toExponential(6));
     for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, text);
@@ -109,6 +108,14 @@
   };
   const atRest = indexed(rest, edges), lines = indexed(null, edges);
   const walls = indexed(null, new Uint16Array(0));
+  const shapes = data.shapes.map((shape) => {
+    const points = new Float32Array(bytes(shape.points).buffer);
+    const list = new Uint32Array(bytes(shape.triangles).buffer);
+    const mesh = indexed(points, list), n = buffer();
+    fill(n, new Float32Array(bytes(shape.normals).buffer));
+    attribute(n, 1, 3);
+    return { ...mesh, points, size: list.length };
+  });
   gl.bindVertexArray(null);
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -277,11 +284,14 @@
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const s = perMm(), type = data.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT;
     const shift = [2 * state.shift[0] / w, -2 * state.shift[1] / h];
+    const place = (made, rows, middle) => {
+      const columns = [0, 1, 2].flatMap((k) => rows.map((axis) => axis[k]));
+      gl.uniformMatrix3fv(at(made, "frame"), false, columns);
+      gl.uniform3fv(at(made, "centre"), middle);
+    };
     for (const made of [body, plain]) {
       gl.useProgram(made);
-      const columns = [0, 1, 2].flatMap((k) => frame.map((axis) => axis[k]));
-      gl.uniformMatrix3fv(at(made, "frame"), false, columns);
-      gl.uniform3fv(at(made, "centre"), centre);
+      place(made, frame, centre);
       gl.uniform4f(at(made, "scale"), 2 * s / w, 2 * s / h, ...shift);
     }
     const flat = (hex, strength) => {
@@ -300,6 +310,7 @@
     gl.useProgram(body);
     const bare = field().place === "marker" || !pose().drawn;
     gl.uniform3fv(at(body, "grey"), numbers(bare ? "#e4e4e4" : paint.rigid));
+    gl.uniform1f(at(body, "cover"), 1);
     gl.bindVertexArray(solid);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 1);
@@ -312,6 +323,7 @@
     }
     flat("#000000", 0.6);
     gl.drawElements(gl.LINES, 2 * data.sharp, type, 0);
+    if (on("obstacles")) drawObstacles(place);
     gl.disable(gl.DEPTH_TEST);
     if (pose().nWalls && on("robot")) {
       flat(paint.wall, 0.25);
@@ -321,6 +333,37 @@
     if (on("rest")) drawRest(0.45);
     gl.bindVertexArray(null);
     mark(w, h, dpr, s);
+  };
+
+  const drawObstacles = (place) => {
+    gl.useProgram(body);
+    gl.uniform3fv(at(body, "grey"), numbers(paint.obstacle));
+    gl.uniform1f(at(body, "cover"), 0.5);
+    gl.vertexAttrib1f(2, -1); // without a value: grey
+    // First their depth alone, so that only what is in front covers the robot.
+    for (const visible of [false, true]) {
+      gl.colorMask(visible, visible, visible, visible);
+      gl.depthFunc(gl.LEQUAL);
+      for (const { shape, at: origin, axes } of pose().obstacles) {
+        const inFrame = (v) => axes.map((axis) => dot(axis, v));
+        place(body, frame.map(inFrame), inFrame(sum(centre, origin, -1)));
+        gl.bindVertexArray(shapes[shape].array);
+        gl.drawElements(gl.TRIANGLES, shapes[shape].size, gl.UNSIGNED_INT, 0);
+      }
+    }
+    gl.depthFunc(gl.LESS);
+  };
+  const besideOf = ({ shape, at: origin, axes }, w, h) => {
+    // Where it is seen farthest from the middle, by some of its points.
+    const { points } = shapes[shape], step = 3 * Math.ceil(points.length / 600);
+    let place = project(origin), farthest = 0;
+    for (let k = 0; k < points.length; k += step) {
+      const x = axes.reduce((x, axis, j) => sum(x, axis, points[k + j]), origin);
+      const [right, down] = project(x), off = Math.hypot(right - w / 2, down - h / 2);
+      const seen = right > 20 && right < w - 90 && down > 20 && down < h - 110;
+      if (seen && off > farthest) [place, farthest] = [[right, down], off];
+    }
+    return place;
   };
 
   // ---- Marks and names
@@ -398,6 +441,8 @@
     if (on("loads"))
       shown.arrows.filter((a) => a.kind === "load").forEach((a) =>
         arrow(a.tip, a.towards, 46, paint.force, a.name));
+    if (on("obstacles"))
+      for (const o of shown.obstacles) names.push([o.name, besideOf(o, w, h)]);
     if (on("frames"))
       for (const f of shown.frames) {
         const colour = paint[f.kind];

@@ -95,6 +95,9 @@ def export_icesl(
     convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
     chosen = choose(samples, foam, convention)
     notes = report.print_notes(samples, chosen, foam)
+    obstacles = ", ".join(design.model.mechanism.contacts.names)
+    if obstacles:
+        notes += (f"Only the part is written, without the obstacles: {obstacles}.",)
     written = IceslResult(
         directory=directory,
         infill=foam.infill,

@@ -1,0 +1,60 @@
+"""Contact that is not what the model takes it for costs the word trust."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import pytest
+from export.handmade import make_fit, make_result
+from obstacle_results import beside_obstacles, pressed
+
+from softcal_jax.identifiability import assess
+
+SCALE = 2e-4
+
+
+@pytest.fixture(scope="module")
+def model():
+    made = beside_obstacles()
+    contacts = replace(made.mechanism.contacts, scale=jnp.array(SCALE))
+    return replace(made, mechanism=replace(made.mechanism, contacts=contacts))
+
+
+def doubts(model, **felt):
+    """The doubts of a calibration with a pose in which the probe feels that."""
+    fit = make_fit(model.mesh, "press 3")
+    fit = replace(fit, robot=pressed(model, **felt).robot)
+    return make_result(model=model, fits=[fit])
+
+
+def test_what_slides_is_named(model):
+    result = doubts(model, sliding=0.3)
+    (doubt,) = result.contact_doubts
+    assert doubt == (
+        '"press 3": 30 % of what touches "probe" would slide at the coefficient of '
+        "friction 0.5; it is held as if it stuck."
+    )
+    assert f"Doubt: {doubt}" in str(result)
+    assert doubt in assess(result).reasons
+
+
+def test_a_rim_slides_always(model):
+    assert doubts(model, sliding=0.05).contact_doubts == ()
+    assert len(doubts(model, sliding=0.051).contact_doubts) == 1
+
+
+def test_what_lies_deep_is_named(model):
+    (doubt,) = doubts(model, depth=1.1 * SCALE).contact_doubts
+    E = 3.0 * 2e5 / 2.8  # of a body with the same shear modulus that keeps its volume
+    assert doubt.startswith(
+        '"press 3": the body lies 0.22 mm inside "probe", deeper than the scale of '
+        f"contact, 0.2 mm: the pressure is more than half of {1e-3 * E:.6g} kPa"
+    )
+    assert "Start from the calibrated values" in doubt
+    assert doubts(model, depth=SCALE).contact_doubts == ()
+
+
+def test_they_do_not_say_that_the_data_contradict_the_model(model):
+    """So no mistake in the data is sought because of them."""
+    sound, sliding = doubts(model), doubts(model, sliding=0.3)
+    assert sliding.contradicted == sound.contradicted
+    assert len(assess(sliding).reasons) == len(assess(sound).reasons) + 1

@@ -1,0 +1,84 @@
+"""Contacts in the tables, in CSV, JSON and for ParaView."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+import pyvista
+from export.handmade import make_fit, make_result
+from obstacle_results import FORCE, beside_obstacles, pressed
+from rich.console import Console
+
+from softcal_jax.calibration import SimulationResult
+from softcal_jax.export import (
+    result_dict,
+    simulation_dict,
+    write_robot_csv,
+    write_robot_vtu,
+)
+from softcal_jax.export.result_file import RobotEntry
+from softcal_jax.report import simulation_table
+
+
+@pytest.fixture(scope="module")
+def model():
+    return beside_obstacles()
+
+
+def test_a_simulation_tabulates_them(model):
+    result = SimulationResult(model, (pressed(model, sliding=0.3),))
+    console = Console(width=120, file=io.StringIO())
+    console.print(simulation_table(result))
+    lines = console.file.getvalue().splitlines()
+    (probe,) = [line for line in lines if "(3, 0, 4) mN" in line]
+    cells = [cell.strip() for cell in probe.split("│")[1:-1]]
+    assert cells[:2] == ["a", "probe"]
+    assert cells[3:] == ["(0, 0.02, 0) N mm", "3 mm2", "0.01 mm", "30 %"]
+    (table,) = [line for line in lines if "not touched" in line]
+    assert "table" in table
+
+
+def test_csv_has_a_line_per_value(model, tmp_path):
+    path = tmp_path / "robot.csv"
+    write_robot_csv(path, [pressed(model), pressed(model, name="off", present=())])
+    with path.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["part"] == "contact"]
+    assert {row["configuration"] for row in rows} == {"a"}
+    of_probe = {r["quantity"]: r for r in rows if r["name"] == "probe"}
+    force = [float(of_probe[f"force_{axis}"]["value"]) for axis in "xyz"]
+    np.testing.assert_allclose(force, FORCE, rtol=1e-8)
+    assert float(of_probe["area"]["value"]) == pytest.approx(3e-6)
+    assert of_probe["moment_y"]["unit"] == "N m"
+    assert {"depth", "sliding"} <= of_probe.keys()
+
+
+def test_json_of_simulations_and_calibrations(model):
+    fit = pressed(model, sliding=0.3)
+    (entry,) = simulation_dict(SimulationResult(model, (fit,)))["configurations"]
+    probe, table = entry["robot"]["contacts"]
+    assert probe == {
+        "name": "probe",
+        "force": FORCE.tolist(),
+        "moment": [0.0, 2e-5, 0.0],
+        "area": 3e-6,
+        "depth": 1e-5,
+        "sliding": 0.3,
+    }
+    assert table["area"] == 0.0
+    calibrated = make_result(model=model, fits=[make_fit(model.mesh), fit])
+    written = result_dict(calibrated)["configurations"][1]["robot"]
+    assert written["contacts"] == [probe, table]
+
+
+def test_results_from_before_contact_are_read():
+    assert RobotEntry.model_validate_json('{"reactions": []}').contacts is None
+
+
+def test_paraview_sees_the_forces(model, tmp_path):
+    fit = pressed(model)
+    write_robot_vtu(tmp_path / "a.vtu", model, fit.robot)
+    grid = pyvista.read(tmp_path / "a.vtu")
+    np.testing.assert_allclose(grid.point_data["contact_force"], [FORCE, np.zeros(3)])
+    moved = grid.points + grid.point_data["displacement"]
+    np.testing.assert_allclose(moved[0], [0.091, 0.01, 0.038], rtol=1e-6)

@@ -1,0 +1,99 @@
+"""Obstacles in the view of `report.html`."""
+
+import base64
+import io
+
+import numpy as np
+import pytest
+from obstacle_results import beside_obstacles, pressed
+from PIL import Image
+from test_page_view import fields_of
+
+from benchmarks import _browser
+from softcal_jax.calibration import SimulationResult
+from softcal_jax.report import _write, write_simulation
+from softcal_jax.report._view_data import robot_data, view_data
+from softcal_jax.report._view_fields import surface_of
+
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return beside_obstacles()
+
+
+def numbers(text, kind):
+    return np.frombuffer(base64.b64decode(text), kind).reshape(-1, 3)
+
+
+def data_of(model, *shown):
+    surface = surface_of(model, 1)
+    return view_data(model, shown, surface, fields_of(model, shown, surface))
+
+
+def test_each_pose_places_those_that_are_there(model):
+    data = data_of(model, pressed(model), pressed(model, name="off", present=()))
+    both, none = (pose["obstacles"] for pose in data["configurations"])
+    assert [(o["shape"], o["name"]) for o in both] == [(0, "probe: 5 mN"), (1, "table")]
+    assert none == []
+    assert both[0]["at"] == [91.0, 10.0, 38.0]
+    np.testing.assert_allclose(both[0]["axes"][0], [0.0, 1.0, 0.0], atol=1e-12)
+    ball, plate = data["shapes"]
+    radii = np.linalg.norm(numbers(ball["points"], "<f4"), axis=1)
+    np.testing.assert_allclose(radii, 10.0, rtol=1e-6)
+    assert numbers(ball["triangles"], "<u4").max() < len(radii)
+    normals = numbers(plate["normals"], "<f4")
+    np.testing.assert_allclose(np.abs(normals[:, 2]), 1.0, rtol=1e-6)
+
+
+def test_they_leave_the_camera_to_the_robot(model):
+    """Neither they nor the frames of bodies that only stand beside are looked at."""
+    with_them, without = pressed(model), pressed(model, present=())
+    assert robot_data(model, with_them)["frames"] == []
+    seen = [data_of(model, fit)["view"] for fit in (with_them, without)]
+    assert seen[0] == seen[1]
+
+
+def test_nothing_of_them_is_cut_off(model):
+    """All of them is nearer to the middle of the robot than the view is deep."""
+    data = data_of(model, pressed(model))
+    middle = np.array([50.0, 10.0, 10.0])
+    for o in data["configurations"][0]["obstacles"]:
+        points = numbers(data["shapes"][o["shape"]]["points"], "<f4") @ o["axes"]
+        away = np.linalg.norm(points + o["at"] - middle, axis=1)
+        assert away.max() < data["farthest"]
+
+
+@pytest.mark.slow
+def test_a_browser_draws_them_half_transparent(model, tmp_path, monkeypatch):
+    try:
+        _browser.browser()
+    except _browser.NoBrowser as error:
+        pytest.skip(str(error))
+    monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
+    result = SimulationResult(model, (pressed(model),))
+    write_simulation(result, tmp_path / "out")
+
+    def seen(tab):
+        tab.ask(
+            "new Promise(done => "
+            "requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        image = Image.open(io.BytesIO(tab.screenshot("#view .stage")))
+        return np.asarray(image.convert("RGB"), int)
+
+    with _browser.opened(tmp_path / "out" / "report.html") as tab:
+        assert tab.loaded == _browser.Visit((), ())
+        tab.resize(1200)
+        shown = seen(tab)
+        tab.ask("document.getElementById('view-obstacles').click()")
+        bare = seen(tab)
+    white = (bare > 250).all(axis=2)
+    grey = white & (shown.max(axis=2) < 230) & (np.ptp(shown, axis=2) < 15)
+    assert 0.1 < grey.sum() / white.sum() < 0.95
+    # Where the probe stands before the robot, its colour is seen through it.
+    coloured = np.ptp(bare, axis=2) > 60
+    through = coloured & (np.abs(shown - bare).max(axis=2) > 20)
+    assert through.any()
+    assert np.median(np.ptp(shown[through], axis=1)) > 15
