@@ -225,14 +225,14 @@ class DistanceGrid(AbstractShape):
         deepest: Largest distance of a point inside from the surface [m].
     """
 
-    coefficients: Float[Array, "n_x n_y n_z"]
+    coefficients: Float[Array | HostArray, "n_x n_y n_z"]
     origin: Float[HostArray, "3"]
     spacing: float
     deepest: float
 
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         at = (y - jnp.asarray(self.origin)) / self.spacing
-        last = jnp.array(self.coefficients.shape) - 3.0
+        last = jnp.array(self.coefficients.shape, float) - 3.0
         inside = jnp.clip(at, 1.0, last)
         low = jnp.floor(jax.lax.stop_gradient(jnp.minimum(inside, last - 1e-9)))
         weights = jax.vmap(_spline_weights)(inside - low)
@@ -279,7 +279,7 @@ def read_surface(
     import pyvista as pv
 
     surface: Any = pv.read(path)
-    surface = surface.extract_surface().triangulate().clean()
+    surface = surface.extract_surface(algorithm="dataset_surface").triangulate().clean()
     if surface.n_cells == 0 or surface.n_open_edges > 0:
         raise ValueError(
             f"{path} has {surface.n_cells} triangles and {surface.n_open_edges} open "
