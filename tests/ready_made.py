@@ -30,8 +30,8 @@ ROBOT_SIZE, ROBOT_SEED, ROBOT_READINGS = 0.015, 0, 10
 """Edges of the tets of the parallel robot [m]; its errors; readings of each pose."""
 
 PAD_E = {"left": 90e3, "right": 220e3}
-PAD_OFFSET, PAD_CELLS = -0.15e-3, [16, 8, 4]
-"""Moduli of the halves [Pa], error of the probe's height [m], cells of the finer pad."""
+PAD_CELLS = [14, 7, 3]
+"""Moduli of the halves [Pa], and cells of the finer pad."""
 
 
 def pneumatic_finger(folder: Path) -> None:
@@ -93,9 +93,7 @@ def pressed_pad(folder: Path) -> None:
     finer = {
         "mesh.beam.cells": PAD_CELLS,
         "material.regions": {name: {"E": f"{E} Pa"} for name, E in PAD_E.items()},
-        "bodies.probe.mounting": {"translation": f"(0, 0, {PAD_OFFSET}) m"},
         "parameters": None,
-        "setup": None,
     }
     project = load_project(folder / "project.toml", changes=finer)
     for c in simulated_measurements(project.model, project.configurations, noise=True):
