@@ -30,7 +30,7 @@ ROBOT_SIZE, ROBOT_SEED, ROBOT_READINGS = 0.015, 0, 10
 """Edges of the tets of the parallel robot [m]; its errors; readings of each pose."""
 
 PAD_E = {"left": 90e3, "right": 220e3}
-PAD_CELLS = [14, 7, 3]
+PAD_CELLS = [14, 7, 4]
 """Moduli of the halves [Pa], and cells of the finer pad."""
 
 
