@@ -92,6 +92,7 @@ def pressed_pad(folder: Path) -> None:
     """Print what the sensor of the probe shows on a finer pad of the true moduli."""
     finer = {
         "mesh.beam.cells": PAD_CELLS,
+        "material.contact_scale": "25 um",
         "material.regions": {name: {"E": f"{E} Pa"} for name, E in PAD_E.items()},
         "parameters": None,
     }
