@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ready_made import FINGER_E, ordered_robot
+from ready_made import FINGER_E, PAD_E, ordered_robot
 from recordings import motion, write_recording
 from wording import says
 
@@ -375,15 +375,19 @@ def test_a_proposed_project_is_calibrated_as_it_is(tmp_path, body):
 
 
 @pytest.mark.slow  # minutes
-@pytest.mark.parametrize("robot", ["pneumatic-finger", "parallel-robot"])
+@pytest.mark.parametrize("robot", ["pneumatic-finger", "parallel-robot", "pressed-pad"])
 def test_ready_made_robots_are_calibrated(tmp_path, robot):
-    """The finger to its modulus; the robot predicts poses that it has not seen."""
+    """To the moduli behind the readings; and they predict poses not seen before."""
     new(tmp_path / "mine", "--robot", robot)
     result = load_project(tmp_path / "mine/project.toml").calibrate()
     assert result.converged
     if robot == "pneumatic-finger":
         (E,) = result.parameters
         assert abs(E.value - FINGER_E) < 2.0 * E.standard_error
+    if robot == "pressed-pad":
+        assert result.verdict.identifiable
+        for E, true in zip(result.parameters, PAD_E.values(), strict=True):
+            assert abs(E.value - true) < 2.0 * E.standard_error
     held_out = [c for c in result.configurations if c.role == "validation"]
     assert held_out
     # Not each pose of seven: the readings have noise.

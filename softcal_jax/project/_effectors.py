@@ -89,7 +89,7 @@ class EffectorTable(Table):
         dimension = dimension_of(effector.rows(model.mesh, model.mechanism)[0].unit)
         if isinstance(value, MotionSource):
             raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')
-        if issubclass(self.makes, configurations.AbstractScalar):
+        if effector.rows(model.mesh, model.mechanism)[0].n_values == 1:
             return replace(effector, measured=parse_scalar(value, dimension))
         return replace(effector, measured=np.array(parse_vector(value, dimension)))
 
@@ -141,6 +141,21 @@ class SupportReactionTable(EffectorTable):
     makes = configurations.SupportReaction
     type: Literal["reaction"]
     group: Group
+
+
+class _OnObstacle(EffectorTable):
+    body: str = Field(description='an obstacle, [bodies.NAME] with a shape: "probe"')
+    axis: typed.Direction | None = None
+
+
+class ContactForceTable(_OnObstacle):
+    makes = configurations.ContactForce
+    type: Literal["contact-force"]
+
+
+class ContactMomentTable(_OnObstacle):
+    makes = configurations.ContactMoment
+    type: Literal["contact-moment"]
 
 
 class BodyAngleTable(EffectorTable):

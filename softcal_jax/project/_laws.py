@@ -94,6 +94,7 @@ class Material(_OfLaw):
     law: str
     density: typed.Density = Field(description=DENSITY["words"])
     formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
+    contact_scale: typed.PositiveLength | None = None
     regions: dict[str, Any] = Field(default_factory=dict)
 
     def constant(self, key: str, region: str | None = None) -> float:

@@ -169,7 +169,7 @@ def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
     bodies, actuators = [], []
     for name, body in table.bodies.items():
         with under(f"bodies.{name}"):
-            bodies.append(body.build(name))
+            bodies.append(body.build(name, folder))
             # A tied body needs the other ones, so it is checked below with them.
             if body.tied_to is None:
                 build_mechanism(mesh, bodies[-1:])
@@ -191,6 +191,7 @@ def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
             bodies=bodies,
             actuators=actuators,
             formulation=table.material.formulation,
+            contact_scale=table.material.contact_scale,
             solver=solver,
         )
 
@@ -232,6 +233,7 @@ def _files(path: Path, table: ProjectTable) -> list[Path]:
     tags = [reading for reading in readings if isinstance(reading, PhotosTable)]
     return [
         *table.mesh.files(path.parent),
+        *(f for body in table.bodies.values() for f in body.files(path.parent)),
         *(path.parent / name for name in files if name is not None),
         *dict.fromkeys(file for tag in tags for file in tag.files(path.parent)),
         *(path.parent / name for name in (table.design.table,) if name is not None),

@@ -5,6 +5,7 @@ To add an actuator, write one table with the keys of its class.
 
 import contextlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -20,7 +21,15 @@ from softcal_jax.configurations import (
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
-from softcal_jax.project._table import Choice, Maker, Table, TableOr, by_type
+from softcal_jax.project._shapes import AnyShape
+from softcal_jax.project._table import (
+    Choice,
+    Maker,
+    Table,
+    TableOr,
+    by_type,
+    wrong_key,
+)
 
 
 class MotionTable(Table):
@@ -35,41 +44,69 @@ class MotionTable(Table):
 
 
 class BodyTable(Table):
-    """Nodes that move as one."""
+    """Nodes that move as one, or an obstacle with a shape, which may have no nodes."""
 
-    group: typed.Names = Field(description='a group of the mesh: "x_max", or several')
+    group: typed.Names = ()
     origin: typed.Position | None = None
     hinge: typed.Direction | None = None
+    axis: typed.Direction | None = None
     axes: tuple[typed.Direction, typed.Direction, typed.Direction] | None = None
     mounting: MotionTable = MotionTable()
     tied_to: str | None = None
     mass: typed.Mass = 0.0
     centre_of_mass: typed.Position | None = None
+    shape: AnyShape | None = None
+    friction: typed.Number = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> "BodyTable":
-        if self.hinge is not None and self.axes is not None:
+        if not self.group and self.shape is None:
+            raise wrong_key(
+                "group",
+                'missing. Expected a group of the mesh: "x_max", or several; or, for '
+                'an obstacle, its shape: { type = "plane" }.',
+            )
+        given = [k for k in ("hinge", "axis", "axes") if getattr(self, k) is not None]
+        if len(given) > 1:
             raise ValueError(
-                "got hinge and axes; the hinge is the third of the axes: give one."
+                f"got {' and '.join(given)}; hinge and axis are both the third of the "
+                "axes: give one."
             )
         return self
 
-    def build(self, name: str) -> RigidBody:
+    def build(self, name: str, folder: Path) -> RigidBody:
+        """Build the body; paths are relative to `folder`."""
+        third = self.hinge or self.axis
+        with under("shape"):
+            shape = self.shape and self.shape.shape(folder)
         return RigidBody(
             name=name,
             where=self.group,
-            origin=self.origin,
-            axes=self.axes if self.hinge is None else hinge_axes(self.hinge),
+            axes=self.axes if third is None else hinge_axes(third),
             mounting=self.mounting.pose,
-            **self.model_dump(include={"tied_to", "mass", "centre_of_mass"}),
+            shape=shape,
+            **self.model_dump(
+                include={"origin", "tied_to", "mass", "centre_of_mass", "friction"}
+            ),
         )
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        return () if self.shape is None else self.shape.files(folder)
+
+
+StateName = Literal["held", "hinged", "sliding", "free", "absent"]
 
 
 class BodyStateTable(MotionTable):
-    state: Literal["held", "hinged", "free"] = "held"
+    state: StateName = "held"
+    start: MotionTable = MotionTable()
+
+    @property
+    def built(self) -> BodyState:
+        return BodyState(self.state, self.pose, self.start.pose)
 
 
-State = TableOr[BodyStateTable, Literal["held", "hinged", "free"]]
+State = TableOr[BodyStateTable, StateName]
 
 
 def build_states(
@@ -79,8 +116,7 @@ def build_states(
     for body, state in table.items():
         with under(body):
             known_name("rigid body", body, mechanism.bodies.names, "[bodies]")
-            word = isinstance(state, str)
-            states[body] = state if word else BodyState(state.state, state.pose)
+            states[body] = state if isinstance(state, str) else state.built
     return states
 
 
