@@ -260,9 +260,9 @@ def _press_tests(n: int) -> dict[str, float]:
             model, space, read, noise="stated", uncertain=exactly_known(), starts=1
         )
         for name, true in TRUTH.items():
-            off, std = found.values[name] / true - 1.0, found.standard_errors[name]
+            off, std = found.value(name) / true - 1.0, found.standard_errors[name]
             errors.append(100.0 * abs(off))
-            held.append(abs(np.log1p(off)) < 1.96 * std / found.values[name])
+            held.append(abs(np.log1p(off)) < 1.96 * std / found.value(name))
     return {
         "balance": max(left),
         "penetration_over_scale": max(depths),

@@ -33,7 +33,7 @@ BLOCK = 16  # faces whose tangents are computed together, where one of them is t
 
 _SAMPLES = 8  # states on the way of a step at which points are looked for inside
 
-FINE = 0.02
+FINE = 0.005
 """Scale of contact, relative to the mean size of the faces of the body [-]."""
 
 

@@ -74,7 +74,7 @@ def build_model(
             solved.
         contact_scale: Thickness of the cushion between the body and obstacles, see
             `softcal_jax.contact`; the error of contact is in proportion to it. By
-            default a fiftieth of the mean size of the surface's faces [m].
+            default a two-hundredth of the mean size of the surface's faces [m].
 
     Warns:
         MeshWarning: If the mesh is so large that its coordinates may be in mm.

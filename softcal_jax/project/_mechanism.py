@@ -49,7 +49,6 @@ class BodyTable(Table):
     group: typed.Names = ()
     origin: typed.Position | None = None
     hinge: typed.Direction | None = None
-    axis: typed.Direction | None = None
     axes: tuple[typed.Direction, typed.Direction, typed.Direction] | None = None
     mounting: MotionTable = MotionTable()
     tied_to: str | None = None
@@ -66,23 +65,20 @@ class BodyTable(Table):
                 'missing. Expected a group of the mesh: "x_max", or several; or, for '
                 'an obstacle, its shape: { type = "plane" }.',
             )
-        given = [k for k in ("hinge", "axis", "axes") if getattr(self, k) is not None]
-        if len(given) > 1:
+        if self.hinge is not None and self.axes is not None:
             raise ValueError(
-                f"got {' and '.join(given)}; hinge and axis are both the third of the "
-                "axes: give one."
+                "got hinge and axes; the hinge is the third of the axes: give one."
             )
         return self
 
     def build(self, name: str, folder: Path) -> RigidBody:
         """Build the body; paths are relative to `folder`."""
-        third = self.hinge or self.axis
         with under("shape"):
             shape = self.shape and self.shape.shape(folder)
         return RigidBody(
             name=name,
             where=self.group,
-            axes=self.axes if third is None else hinge_axes(third),
+            axes=self.axes if self.hinge is None else hinge_axes(self.hinge),
             mounting=self.mounting.pose,
             shape=shape,
             **self.model_dump(
