@@ -135,7 +135,7 @@ def test_obstacles_are_those_of_the_python_api(tmp_path):
     model = load_project(write(tmp_path), solve=False).model
     contacts, bodies = model.mechanism.contacts, model.mechanism.bodies
     assert contacts.names == ("table", "wall", "probe")
-    assert contacts.friction == (0.5, 0.0, 0.0)
+    np.testing.assert_allclose(contacts.friction, [0.5, 0.0, 0.0])
     np.testing.assert_allclose(contacts.scale, 50e-6)
     np.testing.assert_allclose(bodies.mounting_translation[0], [0, 0, -0.5e-3])
     np.testing.assert_allclose(bodies.axes[1, 2], [1, 0, 0])

@@ -35,6 +35,7 @@ def test_every_key(tmp_path):
         'recordings = "0.1 mm"',
         'zeros = "1 deg"',
         'mountings = "2 mm"',
+        "contact = 2.0",
         "mesh = 0.5",
     )
     expected = {
@@ -48,6 +49,7 @@ def test_every_key(tmp_path):
         "recordings": 1e-4,
         "zeros": np.deg2rad(1.0),
         "mountings": 2e-3,
+        "contact": 2.0,
         "mesh": 0.5,
     }
     assert set(expected) == {field.name for field in fields(Uncertain)}
