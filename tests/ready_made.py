@@ -1,6 +1,6 @@
 """The data of ready-made robots that nobody measured: meshes and synthetic readings.
 
-    python tests/ready_made.py pneumatic_finger parallel_robot
+    python tests/ready_made.py pneumatic_finger parallel_robot pressed_pad
 
 writes them into the package, beside the project files. `cable_project.py` does the same
 for the cable beam.
@@ -28,6 +28,10 @@ FINGER_POSES = ("rest", "20 kPa", "40 kPa", "30 kPa")
 
 ROBOT_SIZE, ROBOT_SEED, ROBOT_READINGS = 0.015, 0, 10
 """Edges of the tets of the parallel robot [m]; its errors; readings of each pose."""
+
+PAD_E = {"left": 90e3, "right": 220e3}
+PAD_CELLS = [14, 7, 4]
+"""Moduli of the halves [Pa], and cells of the finer pad."""
 
 
 def pneumatic_finger(folder: Path) -> None:
@@ -84,13 +88,32 @@ def parallel(folder: Path) -> None:
     _write(folder / "tracker.csv", header, rows)
 
 
+def pressed_pad(folder: Path) -> None:
+    """Print what the sensor of the probe shows on a finer pad of the true moduli."""
+    finer = {
+        "mesh.beam.cells": PAD_CELLS,
+        "material.contact_scale": "25 um",
+        "material.regions": {name: {"E": f"{E} Pa"} for name, E in PAD_E.items()},
+        "parameters": None,
+    }
+    project = load_project(folder / "project.toml", changes=finer)
+    for c in simulated_measurements(project.model, project.configurations, noise=True):
+        (cell,) = c.effectors
+        forces = ", ".join(f"{force:.3f}" for force in cell.measured)
+        print(f'{c.name}: measured.effectors.cell = "({forces}) N"')
+
+
 def _write(path: Path, header, rows) -> None:
     with path.open("w", newline="") as file:
         lines = csv.writer(file, lineterminator="\n")
         lines.writerows([header, *rows])
 
 
-MAKERS = {"pneumatic_finger": pneumatic_finger, "parallel_robot": parallel}
+MAKERS = {
+    "pneumatic_finger": pneumatic_finger,
+    "parallel_robot": parallel,
+    "pressed_pad": pressed_pad,
+}
 
 if __name__ == "__main__":
     import jax

@@ -23,6 +23,7 @@ READY_MADE = {
     "parallel-robot": "parallel_robot",
     "tentacle": "soft_tentacle",
     "emio": "emio",
+    "pressed-pad": "pressed_pad",
 }
 """Folders of this package, by the names of the robots that users type."""
 
