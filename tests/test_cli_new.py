@@ -8,6 +8,7 @@ from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.exchange.proposal import propose_project
+from softcal_jax.identifiability import assess
 from softcal_jax.mesh import beam, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
 from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
@@ -395,3 +396,16 @@ def test_ready_made_robots_are_calibrated(tmp_path, robot):
         [getattr(c, k) for c in held_out] for k in ("rms_before", "rms_after")
     )
     assert np.mean(after) < 0.7 * np.mean(before)
+
+
+@pytest.mark.slow  # minutes
+def test_the_pressed_pad_is_calibrated(tmp_path):
+    """Presses alone tell the moduli of its halves, and each force of the last one."""
+    new(tmp_path / "mine", "--robot", "pressed-pad")
+    result = load_project(tmp_path / "mine/project.toml").calibrate()
+    assert assess(result).outcome == "trust"
+    for E, true in zip(result.parameters, PAD_E.values(), strict=True):
+        assert abs(E.value - true) < 2.0 * E.standard_error
+    (middle,) = [c for c in result.configurations if c.role == "validation"]
+    (cell,) = middle.effectors
+    assert np.all(np.abs(cell.residual) < 3.0 * cell.std)
