@@ -130,14 +130,29 @@ def solved_by_calculix(folder: Path, n_nodes: int) -> np.ndarray:
     )
     if done.returncode != 0 or "*ERROR" in done.stdout:
         raise RuntimeError(f"CalculiX failed: {done.stdout[-2000:]}")
-    text = (folder / "job.dat").read_text()
-    head = "displacements (vx,vy,vz) for set NALL and time  0.1000000E+01"
-    _, separator, last = text.rpartition(head)
-    rows = [line.split() for line in last.splitlines() if line.split()]
-    u = np.array(rows[:n_nodes], float)
-    if not separator or not np.array_equal(u[:, 0], np.arange(1, n_nodes + 1)):
+    rows = _printed(folder, "displacements (vx,vy,vz) for set NALL").splitlines()
+    u = np.array([row.split() for row in rows if row][:n_nodes], float)
+    if not np.array_equal(u[:, 0], np.arange(1, n_nodes + 1)):
         raise RuntimeError("CalculiX wrote no displacements of the whole step.")
     return u[:, 1:]
+
+
+def reaction_by_calculix(folder: Path, nodes: str) -> np.ndarray:
+    """Read the total force on a set of nodes at the end of the step [N].
+
+    The input file asks for it by `RF` in a *NODE PRINT with TOTALS=ONLY.
+    """
+    text = _printed(folder, f"total force (fx,fy,fz) for set {nodes}")
+    return np.array(text.split()[:3], float)
+
+
+def _printed(folder: Path, what: str) -> str:
+    """Return what `job.dat` holds below a head, at the end of the step."""
+    head = f"{what} and time  0.1000000E+01"
+    _, separator, text = (folder / "job.dat").read_text().rpartition(head)
+    if not separator:
+        raise RuntimeError(f"CalculiX wrote no {what} of the whole step.")
+    return text
 
 
 def lane_of(model: Model, configuration: Configuration) -> ConfigurationArrays:
