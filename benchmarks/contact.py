@@ -259,10 +259,11 @@ def _press_tests(n: int) -> dict[str, float]:
         found = calibrate(
             model, space, read, noise="stated", uncertain=exactly_known(), starts=1
         )
-        for name, true in TRUTH.items():
-            off, std = found.value(name) / true - 1.0, found.standard_errors[name]
+        for estimate in found.parameters:
+            off = estimate.value / TRUTH[estimate.name] - 1.0
+            share = estimate.standard_error / estimate.value
             errors.append(100.0 * abs(off))
-            held.append(abs(np.log1p(off)) < 1.96 * std / found.value(name))
+            held.append(abs(np.log1p(off)) < 1.96 * share)
     return {
         "balance": max(left),
         "penetration_over_scale": max(depths),

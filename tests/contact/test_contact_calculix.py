@@ -141,7 +141,7 @@ def test_hard_contact_is_that_of_calculix(tmp_path):
 
 
 def test_cushion_is_as_soft_as_its_tangent(tmp_path):
-    """At the default scale the plate seems lower than it is, by what the law says.
+    """At a fiftieth of a face the plate seems lower than it is, by what the law says.
 
     About the mean pressure p, where d = 2 s sqrt(p / E), the tangent of the cushion is
     a penalty of sqrt(E p) / s that starts at d / 2. It explains 3.4 % of the force up

@@ -40,7 +40,7 @@ mounting = { translation = "(0, 0, -0.5) mm" }
 [bodies.wall]
 shape = { type = "plane" }
 origin = "(-5, 0, 0) mm"
-axis = "x"
+axes = ["y", "z", "x"]
 
 [bodies.probe]
 shape = { type = "sphere", radius = "4 mm" }
@@ -253,8 +253,8 @@ REFUSED = {
         "bodies.table: friction ... needs a shape",
     ),
     "two third axes": (
-        ('axis = "x"', 'axis = "x"\nhinge = "x"'),
-        "bodies.wall: got hinge and axis ... give one",
+        ('axes = ["y"', 'hinge = "x"\naxes = ["y"'),
+        "bodies.wall: got hinge and axes ... give one",
     ),
     "an unknown state": (
         ('"sliding"', '"slidng"'),
