@@ -168,7 +168,7 @@ def _revolved(radius: float, length: float, rounding: float) -> "PolyData":
     z = 0.5 * length - rounding * (1.0 - np.sin(turn))
     r, z = np.append(r, 0.0), np.append(z, z[-1])
     r, z = np.append(r[::-1], r), np.append(-z[::-1], z)
-    outline = pv.lines_from_points(np.column_stack([r, np.zeros_like(r), z]))
+    outline: Any = pv.lines_from_points(np.column_stack([r, np.zeros_like(r), z]))
     surface = outline.extrude_rotate(resolution=48, capping=False)
     return surface.triangulate().clean(tolerance=1e-6)
 
@@ -249,7 +249,7 @@ class DistanceGrid(AbstractShape):
         import pyvista as pv
 
         shape, spacing = self.coefficients.shape, (float(self.spacing),) * 3
-        grid = pv.ImageData(dimensions=shape, spacing=spacing, origin=self.origin)
+        grid: Any = pv.ImageData(dimensions=shape, spacing=spacing, origin=self.origin)
         knots = np.asarray(self.coefficients)
         for axis in range(3):
             knots = ndimage.correlate1d(knots, [1 / 6, 2 / 3, 1 / 6], axis)

@@ -27,13 +27,13 @@ class PlacedObstacle(NamedTuple):
     """An obstacle that is drawn.
 
     Attributes:
-        index: Its index among the obstacles of the model.
+        number: Its index among the obstacles of the model.
         name: Its name, and the force on it at an equilibrium.
         origin: Place of the origin of its surface [m].
         axes: Directions of the axes of its surface, by rows [-].
     """
 
-    index: int
+    number: int
     name: str
     origin: Float[HostArray, "3"]
     axes: Float[HostArray, "3 3"]
@@ -62,6 +62,8 @@ def _named(name: str, contact: ContactState | None) -> str:
 
 def obstacles_at_start(model: Model, states: BodyStateArrays) -> list[PlacedObstacle]:
     """List the obstacles that are there before the load, in states of the bodies."""
+    if model.mechanism.contacts.n_obstacles == 0:
+        return []  # without compiling for it
     present, frames = jax.device_get(standing(model.mechanism, states))
     return list(_placed(model, present, frames, model.mechanism.contacts.names))
 
@@ -97,7 +99,7 @@ def placed_surfaces(
     """Make the surfaces of obstacles where they stand [m]."""
     surfaces = []
     for obstacle in obstacles:
-        surface = obstacle_surface(model, obstacle.index)
+        surface = obstacle_surface(model, obstacle.number)
         surface.points = obstacle.place(surface.points)
         surfaces.append(surface)
     return surfaces
@@ -133,13 +135,14 @@ def name_obstacles(
     axes: Axes, view: View, model: Model, obstacles: Sequence[PlacedObstacle]
 ) -> None:
     """Write the name of each obstacle where it is farthest from the body."""
-    half = np.array([0.85, 0.6]) * [axes.get_xlim()[1], axes.get_ylim()[1]]
+    half = 0.9 * np.array([axes.get_xlim()[1], axes.get_ylim()[1]])
     body = view.project(model.mesh.points)
     surfaces = placed_surfaces(model, obstacles)
     for obstacle, surface in zip(obstacles, surfaces, strict=True):
         flat = view.project(np.asarray(surface.points))
-        inside = flat[np.all(np.abs(flat) <= half, axis=1)]
-        flat = inside if len(inside) else np.clip(flat, -half, half)
+        inside = np.all(np.abs(flat) <= half, axis=1)
+        inside &= np.any(flat < 0.55 * half, axis=1)  # gravity is in that corner
+        flat = flat[inside] if inside.any() else np.clip(flat, -half, half)
         place = flat[np.argmax(cdist(flat, body).min(axis=1))]
         style = {"ha": "center", "va": "center", "fontsize": 13, "color": FAINT}
         draw_name(axes, obstacle.name, place, (0, 0), **style)

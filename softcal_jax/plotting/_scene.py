@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
 _GHOST = "#ececec"  # colour of the body at rest
-_ROUND = {"smooth_shading": True, "split_sharp_edges": True}
+_ROUND: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": True}
 _STRENGTHS = 1.0, 1.0, 0.5, 0.45  # of the body at rest, deformed, obstacles, outline
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 

@@ -17,7 +17,7 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.equilibrium import ActuatorState, ContactState, Model
+from softcal_jax.equilibrium import ActuatorState, ContactState, Model, RobotState
 from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._verdict import TONES, listed_fits, value_of
@@ -59,7 +59,8 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
         "Actuators": ["actuator", "force or pressure", "displacement or growth"],
         "Rigid bodies": ["rigid body", "state", "displacement", "rotation"],
         "Reactions": ["of", "force of the ground (x, y, z)"],
-        "Contacts": ["with", "force (x, y, z)", "moment", "area", "depth", "sliding"],
+        "Contacts": ["with", "force on it (x, y, z)", "moment on it"],
+        "Contact areas": ["with", "area", "largest depth", "sliding"],
     }
     rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}
     for result in configurations:
@@ -69,16 +70,14 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
             continue
         for state in robot.actuators:
             rows["Actuators"].append((result.name, state.name, *actuator_row(state)))
-        for body in robot.bodies:
-            moved = readable_values([_length(body.translation)], "m")
-            turned = readable_values([_length(body.rotation_vector)], "rad")
-            row = (result.name, body.name, body.state, moved, turned)
-            rows["Rigid bodies"].append(row)
+        rows["Rigid bodies"] += _body_rows(result.name, robot)
         for reaction in robot.reactions:
             force = readable_values(list(reaction.force), "N")
             rows["Reactions"].append((result.name, reaction.name, force))
         for contact in robot.contacts:
-            rows["Contacts"].append((result.name, *contact_row(contact)))
+            name = (result.name, contact.name)
+            rows["Contacts"].append((*name, *_felt(contact)))
+            rows["Contact areas"].append((*name, *_touched(contact)))
     return [
         text_table(title, ("configuration", *columns), rows[title])
         for title, columns in titles.items()
@@ -102,16 +101,31 @@ def _effector_rows(
         yield (result.name, name, *(_values(effector, v) for v in of_value))
 
 
-def contact_row(contact: ContactState) -> list[str]:
-    """Write what an obstacle feels."""
+def _body_rows(pose: str, robot: RobotState) -> Iterator[tuple[str, ...]]:
+    for body in robot.bodies:
+        if body.state != "absent":
+            moved = readable_values([_length(body.translation)], "m")
+            turned = readable_values([_length(body.rotation_vector)], "rad")
+            yield pose, body.name, body.state, moved, turned
+
+
+def _felt(contact: ContactState) -> list[str]:
     if contact.area == 0.0:
-        return [contact.name, "not touched", *4 * ["-"]]
-    vectors = readable_values(list(contact.force), "N", digits=4)
-    moment = readable_values(list(contact.moment), "N m", digits=4)
-    area = readable_values([contact.area], "m2", digits=3)
-    depth = readable_values([contact.depth], "m", digits=3)
-    sliding = f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-"
-    return [contact.name, vectors, moment, area, depth, sliding]
+        return ["not touched", "-"]
+    return [
+        readable_values(list(values), unit, digits=3)
+        for values, unit in ((contact.force, "N"), (contact.moment, "N m"))
+    ]
+
+
+def _touched(contact: ContactState) -> list[str]:
+    if contact.area == 0.0:
+        return ["-", "-", "-"]
+    return [
+        readable_values([contact.area], "m2", digits=3),
+        readable_values([contact.depth], "m", digits=3),
+        f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-",
+    ]
 
 
 def actuator_values(actuator: ActuatorState) -> dict[str, str]:

@@ -270,7 +270,7 @@ def _reach(
 
 def _obstacle(obstacle: plotting.PlacedObstacle) -> dict[str, Any]:
     place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
-    return {"shape": obstacle.index, "name": escaped(obstacle.name), **place}
+    return {"shape": obstacle.number, "name": escaped(obstacle.name), **place}
 
 
 def _loads(

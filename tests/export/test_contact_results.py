@@ -19,6 +19,7 @@ from softcal_jax.export import (
 )
 from softcal_jax.export.result_file import RobotEntry
 from softcal_jax.report import simulation_table
+from softcal_jax.report._tables import robot_tables
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +29,21 @@ def model():
 
 def test_a_simulation_tabulates_them(model):
     result = SimulationResult(model, (pressed(model, sliding=0.3),))
-    console = Console(width=120, file=io.StringIO())
+    console = Console(width=80, file=io.StringIO())
     console.print(simulation_table(result))
-    lines = console.file.getvalue().splitlines()
-    (probe,) = [line for line in lines if "(3, 0, 4) mN" in line]
-    cells = [cell.strip() for cell in probe.split("│")[1:-1]]
-    assert cells[:2] == ["a", "probe"]
-    assert cells[3:] == ["(0, 0.02, 0) N mm", "3 mm2", "0.01 mm", "30 %"]
-    (table,) = [line for line in lines if "not touched" in line]
-    assert "table" in table
+    rows = [
+        [cell.strip() for cell in line.split("│")[1:-1]]
+        for line in console.file.getvalue().splitlines()
+    ]
+    assert ["a", "probe", "(3, 0, 4) mN", "(0, 0.02, 0) N mm"] in rows
+    assert ["a", "table", "not touched", "-"] in rows
+    assert ["a", "probe", "3 mm2", "0.01 mm", "30 %"] in rows
+
+
+def test_bodies_that_are_absent_fill_no_table(model):
+    result = SimulationResult(model, (pressed(model, present=("probe",)),))
+    (bodies,) = [t for t in robot_tables(result.configurations) if "bod" in t.title]
+    assert [row[1].text for row in bodies.rows] == ["probe"]
 
 
 def test_csv_has_a_line_per_value(model, tmp_path):

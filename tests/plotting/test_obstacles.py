@@ -71,7 +71,7 @@ def test_they_stand_where_their_frames_have_moved(model):
 def test_the_plate_of_a_table_lies_below_the_body(model):
     """Although the origin of its frame is 2 m away."""
     _, table = obstacles_at(model, pressed(model).robot)
-    points = table.place(obstacle_surface(model, table.index).points)
+    points = table.place(obstacle_surface(model, table.number).points)
     np.testing.assert_allclose(points[:, 2], -0.03, atol=1e-9)
     np.testing.assert_allclose(points.mean(axis=0)[:2], [0.05, 0.01], atol=1e-6)
     assert np.ptp(points, axis=0).max() < 2.0 * model.mesh.size
