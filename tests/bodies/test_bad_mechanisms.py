@@ -105,7 +105,7 @@ def test_bad_poses():
         Pose.from_matrix(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
     with pytest.raises(ValueError, match=r"3 x 3 matrix.*got \[\[2"):
         Pose.from_matrix(2.0 * np.eye(3), np.zeros(3))
-    with pytest.raises(ValueError, match=r"'fixed'.*'absent', 'free', 'held', 'hinged', 'sliding'"):
+    with pytest.raises(ValueError, match=r"'fixed'.*'absent', .*'hinged', 'sliding'"):
         BodyState("fixed")
     with pytest.raises(ValueError, match=r"is free .*\[0.0, 0.1, 0.0\] m.* Hold"):
         BodyState("free", Pose((0.0, 0.1, 0.0)))
