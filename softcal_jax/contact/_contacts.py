@@ -15,7 +15,7 @@ to s. Sticking friction holds points by springs along the surface that are as st
 from where they came in touch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -167,6 +167,19 @@ def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."
     return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
 
 
+def _tamed(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
+    """Return an energy whose second derivatives are those of phi, but for deep points.
+
+    Where p > E, the curvature of the obstacle counts as if p = E. Newton's method comes
+    across such pressures while an obstacle moves in, and with them the tangent would be
+    far from positive definite.
+    """
+    still = jax.lax.stop_gradient
+    slope = jnp.minimum(_pressure(d, s), 1.0)
+    curvature = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
+    return still(slope) * d + 0.5 * still(curvature) * (d - still(d)) ** 2
+
+
 def _grip(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
     """Compute the share of a point that the obstacle has taken hold of [-]."""
     q = jnp.clip(d / (2.0 * s), 0.0, 1.0)
@@ -211,6 +224,7 @@ def _face_energy(
     z: Float[Array, "m 3"],
     area: Float[Array, " n_qp"],
     start: Float[Array, "m 3"],
+    cushion: Callable[[Array, Array], Array] = _cushion,
 ) -> Float[Array, ""]:
     """Compute the energy between a face and the obstacle `k` [J].
 
@@ -218,11 +232,11 @@ def _face_energy(
     """
     shape, s, local = contacts.shapes[k], contacts.scale, partial(_local, contacts)
     if not contacts.sticks[k]:
-        energy = _cushion(0.5 * s - jax.vmap(shape.distance)(local(z)), s)
+        energy = cushion(0.5 * s - jax.vmap(shape.distance)(local(z)), s)
     else:
         points = jax.vmap(partial(_point, shape, s))(local(z), local(start))
         slip = jnp.sum(points.slip**2, axis=1)
-        energy = _cushion(points.cushion, s)
+        energy = cushion(points.cushion, s)
         energy = energy + 0.5 / s * _grip(points.cushion, s) * slip
     return contacts.stiffness * jnp.sum(area * energy)
 
@@ -252,22 +266,32 @@ def contact_energy_and_force(
 
 
 def contact_stiffness(
-    contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
+    contacts: Contacts,
+    x: Float[Array, "n_points 3"],
+    standing: Standing,
+    *,
+    tamed: bool = False,
 ) -> tuple[Float[Array, "n_faces _ _"], ...]:
-    """Differentiate the force of each clique by the positions of its nodes [N/m]."""
+    """Differentiate the force of each clique by the positions of its nodes [N/m].
+
+    It is exact unless `tamed` for a step of Newton's method.
+    """
+    cushion = _tamed if tamed else _cushion
     return tuple(
-        _stiffness_of(contacts, k, x, standing) for k in range(contacts.n_obstacles)
+        _stiffness_of(contacts, k, x, standing, cushion)
+        for k in range(contacts.n_obstacles)
     )
 
 
-def _stiffness_of(contacts: Contacts, k: int, x, standing: Standing):
+def _stiffness_of(contacts: Contacts, k: int, x, standing: Standing, cushion):
     z, area, start = _positions(contacts, k, x, standing)
     m, n_blocks = z.shape[1], len(z) // BLOCK
     gap = jax.vmap(lambda z: _gaps(contacts, k, z))(z)
     near = jnp.any((gap < 0.5 * contacts.scale) & (area > 0.0), axis=1)
 
     def of_face(z, area, start):
-        force = lambda z: jax.grad(partial(_face_energy, contacts, k))(z, area, start)
+        energy = partial(_face_energy, contacts, k)
+        force = lambda z: jax.grad(energy)(z, area, start, cushion)
         return jax.jacfwd(force)(z).reshape(3 * m, 3 * m)
 
     def of_block(block):

@@ -171,6 +171,11 @@ class Point(NamedTuple):
     min_det_F: Any = None
 
     @property
+    def touches(self) -> Bool[Array, ""]:
+        """Whether an obstacle is touched."""
+        return jnp.any(self.contact != 0.0)
+
+    @property
     def finite(self) -> Bool[Array, ""]:
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
@@ -227,11 +232,16 @@ def rows_on_free(
 
 
 def nodal_tangent(
-    posed: Posed, u: Nodal, lambda_a: Float[Array, " n_a"], mesh: Float[Array, " nnz"]
+    posed: Posed,
+    u: Nodal,
+    lambda_a: Float[Array, " n_a"],
+    mesh: Float[Array, " nnz"],
+    *,
+    tamed: bool = False,
 ) -> Float[Array, " nnz"]:
     """Add actuators, springs and contact to the tangent of the mesh [N/m]."""
     model, nodal = posed.model, posed.spring_tangent(mesh)
-    nodal = posed.contact_tangent(u, nodal)
+    nodal = posed.contact_tangent(u, nodal, tamed=tamed)
     actuators = model.mechanism.actuators
     loads = actuator_loads(posed, lambda_a)
     # d(F_a^T lambda_a)/dx
@@ -267,15 +277,17 @@ def assemble(
     *,
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
+    tamed: bool = False,
 ) -> Tangent:
     """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 
-    `active` flags the actuators with an imposed displacement that acts.
+    `active` flags the actuators with an imposed displacement that acts; for `tamed` see
+    `contact_stiffness`.
     """
     model, u = posed.model, point.u
     actuators, which = model.mechanism.actuators, model.with_multiplier
     g, rows = unbalanced(posed, point, lambda_a)
-    nodal = nodal_tangent(posed, u, lambda_a, mesh)
+    nodal = nodal_tangent(posed, u, lambda_a, mesh, tamed=tamed)
     reduced = posed.reduce(u, nodal, g)
     values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed)
     H_a, H_other = rows[which], None

@@ -111,7 +111,8 @@ def newton_direction(
         values, force = mixed_tangent(model, u, theta)
     else:
         values, force = tangent_values(model, u, before), point.force
-    tangent = assemble(posed, point, lambda_a, mesh=values, active=active)
+    options = {"mesh": values, "active": active, "tamed": strict is not None}
+    tangent = assemble(posed, point, lambda_a, **options)
     # Held nodes that still have to move pull on the rest: - K du_held.
     pull = jax.lax.cond(
         moving,
@@ -208,7 +209,8 @@ def line_search(
         # moves too far is cut like a load.
         inside_out = (new.min_det_F <= 0.0) & (point.min_det_F > 0.0)
         inside_out = inside_out & (~moving | ~strict)
-        good = (enough | moving | ~strict) & new.finite & ~inside_out
+        free = ~strict & ~(point.touches | new.touches)
+        good = (enough | moving | free) & new.finite & ~inside_out
         good = good & ~posed.passes_through(point.u, new.u)
         return LineSearchTrial(new, lambda_a, size, good)
 

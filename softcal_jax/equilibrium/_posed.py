@@ -218,13 +218,13 @@ class Posed(NamedTuple):
         return contact_energy_and_force(self.contacts, x, self.standing)
 
     def contact_tangent(
-        self, u: Nodal, values: Float[Array, " nnz"]
+        self, u: Nodal, values: Float[Array, " nnz"], *, tamed: bool
     ) -> Float[Array, " nnz"]:
-        """Add contact to the tangent over all nodes [N/m]."""
+        """Add contact to the tangent over all nodes, see `contact_stiffness` [N/m]."""
         if self.contacts.n_obstacles == 0:
             return values
         x, pattern = self.model.positions(u), self.model.pattern
-        stiffness = contact_stiffness(self.contacts, x, self.standing)
+        stiffness = contact_stiffness(self.contacts, x, self.standing, tamed=tamed)
         for matrices, places in zip(stiffness, self.model.contact_at, strict=True):
             p, q = element_entries(matrices.shape[1] // 3, pattern.symmetric)
             values = values.at[places].add(matrices[:, p, q].T)
@@ -240,8 +240,8 @@ class Posed(NamedTuple):
         """Tell whether the surface comes too deep into an obstacle on its way."""
         if self.contacts.n_obstacles == 0:
             return jnp.zeros((), bool)
-        ends = map(self.model.positions, (before, after))
-        return passes_through(self.contacts, *ends, self.standing)
+        x, y = self.model.positions(before), self.model.positions(after)
+        return passes_through(self.contacts, x, y, self.standing)
 
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].
