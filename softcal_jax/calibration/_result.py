@@ -323,10 +323,9 @@ class CalibrationResult(Result):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Where the model cannot be right, one sentence each; empty if nowhere.
+        """Where the model contradicts the data, one sentence each; empty if nowhere.
 
-        It contradicts the data, by chi-squared of stated errors, by `checks`, and by
-        each pose; or a body passes through itself.
+        They are by chi-squared of stated errors, by `checks`, and by each pose.
         """
         spread, doubts = self.uncertainty, []
         if spread.misfits:
@@ -339,7 +338,6 @@ class CalibrationResult(Result):
                 "stated noise."
             )
         doubts += self.checks.reasons if self.checks is not None else ()
-        doubts += (doubt for fit in self.configurations for doubt in fit.doubts)
         done = {"calibration": "fitted", "validation": "predicted"}
         return tuple(doubts) + tuple(
             f"{fit.name} is {done[fit.role]} {fit.off}: check its load, supports, "
@@ -350,8 +348,13 @@ class CalibrationResult(Result):
 
     @property
     def contact_doubts(self) -> tuple[str, ...]:
-        """Where contact is not what the model takes it for, one sentence each."""
-        return contact_doubts(self.model.mechanism.contacts, self.configurations)
+        """Where contact is not what the model takes it for, one sentence each.
+
+        That is on obstacles, or where the body passes through itself.
+        """
+        of_body = tuple(doubt for fit in self.configurations for doubt in fit.doubts)
+        contacts = self.model.mechanism.contacts
+        return contact_doubts(contacts, self.configurations) + of_body
 
     @property
     def missed(self) -> float:
@@ -363,7 +366,7 @@ class CalibrationResult(Result):
 
     @property
     def contradicted(self) -> bool:
-        """Whether the model contradicts the data, fitted or held out, or itself."""
+        """Whether the model contradicts the data, fitted or held out."""
         return bool(self.doubts) or self.missed > MISSED
 
     @property

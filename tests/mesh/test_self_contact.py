@@ -133,6 +133,6 @@ def test_poses_that_touch_are_doubted(distance):
     known = make_result()
     contact = simulation.configurations[1].self_contact
     fits = [replace(fit, self_contact=contact) for fit in known.configurations[:1]]
-    doubts = replace(known, configurations=tuple(fits)).doubts
+    doubts = replace(known, configurations=tuple(fits)).contact_doubts
     assert (doubts != ()) == (distance > GAP)
     assert not doubts or says(doubts, "in droop", "mm deep near (", "not modelled")
