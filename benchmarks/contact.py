@@ -3,9 +3,9 @@
 - `hertz`, `punch`: a sphere, and a flat punch with a rounded edge, pressed into a
   half-space; a quarter of it on graded meshes of quadratic tets. Forces by Sneddon
   (Int. J. Engng Sci. 3, 1965), which for the sphere is Hertz's F = 4/3 E* R^0.5 d^1.5.
-- `press`: a finger of two halves of silicone, glued down along its length, is pressed by
-  a probe with a force sensor at six places, with 1 % of noise, and both moduli are found
-  from the forces alone.
+- `press`: a finger of two halves of silicone, glued down along its length, is pressed
+  by a probe with a force sensor at six places, with 1 % of noise, and both moduli are
+  found from the forces alone.
 - `drops`: a ball moves onto a thin clamped plate from a random place above it, in a
   random direction, to up to 30 times the thickness of the plate below it.
 
@@ -111,7 +111,7 @@ def run(options: Options) -> Outcome:
 
 # A quarter of the half-space, FAR times as large as the contact, and its refinement
 # towards the contact.
-FAR, GRADED = 60.0, 5.0
+FAR, GRADED = 120.0, 5.8
 
 MESHES = [(6, 1.6e-2), (8, 8e-3), (12, 4e-3)]
 """Cells along each axis, and the scale of contact over the depth of the indenter."""
@@ -198,11 +198,11 @@ def _contacts(
 
 FINGER = (0.06, 0.012, 0.012)
 TRUTH = {"E_root": 1.2e5, "E_tip": 2.5e5}
-PROBE = 4e-3
+PROBE = 6e-3
 """Radius of the probe [m]."""
 
-PLACES = [(0.01, -0.8e-3), (0.016, -1.2e-3), (0.022, -1.6e-3)]
-PLACES += [(0.038, -0.8e-3), (0.044, -1.2e-3), (0.05, -1.6e-3)]
+PLACES = [(0.01, -0.6e-3), (0.016, -0.9e-3), (0.022, -1.2e-3)]
+PLACES += [(0.038, -0.6e-3), (0.044, -0.9e-3), (0.05, -1.2e-3)]
 """Where the finger is pressed along its length, and how far [m]."""
 
 
@@ -327,8 +327,9 @@ def _unbalanced(
 def _free_steps(pose: Configuration, contact: ContactState) -> float:
     """Newton iterations under the same force at the same place, without contact."""
     model = _finger()
-    above = pose.bodies["probe"].start.translation
-    place = tuple(above - [0.0, 0.0, PROBE])
+    probe = pose.bodies["probe"]
+    assert isinstance(probe, BodyState)
+    place = tuple(probe.start.translation - [0.0, 0.0, PROBE])
     push = PointForce(place, tuple(-contact.force))
     free = replace(pose, loads=[push], bodies={"probe": "absent"}, effectors=())
     return float(solve_equilibrium(model, free).steps)

@@ -155,7 +155,7 @@ def with_zero(angle):
     return eqx.tree_at(zero, robot(), zero(robot()).at[0].set(angle))
 
 
-CAUSES = sorted(set(vars(STD)) - {"mesh"})
+CAUSES = sorted(set(vars(STD)) - {"mesh", "contact"})
 STEP = 0.1
 """Share of a standard deviation by which things are changed: errors of second order."""
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody
+from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
@@ -25,6 +26,7 @@ from softcal_jax.equilibrium import (
     robot_states,
     solve_equilibrium,
 )
+from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -165,6 +167,33 @@ def test_moment_readings_are_about_the_frame_of_the_obstacle():
     np.testing.assert_allclose(
         moved, moment - np.cross(shift, (0, 0, force[0])), atol=1e-9
     )
+
+
+def test_the_scale_of_contact_counts_in_the_error_budget():
+    """Between planes E = p H / (travel + 2 g(s)), with g in proportion to s."""
+    model, travel = block(FLOOR, PRESS), 1e-3
+    pressure = 0.06 * E
+    pose = Configuration(
+        "p",
+        SYMMETRY,
+        bodies={"press": Pose((0, 0, -travel))},
+        effectors=[ContactForce("cell", "press", (0, 0, 1), AREA * pressure, 1e-3)],
+        **WEIGHTLESS,
+    )
+    found = calibrate(
+        model,
+        Parameter("E", "elasticity.E", E, 0.2 * E, 5.0 * E),
+        [pose],
+        noise="stated",
+        uncertain=replace(exactly_known(), contact=1.0),
+        starts=1,
+        intervals=None,
+    )
+    gap = gap_under(model, pressure)
+    modulus = pressure * SIDE / (travel + 2.0 * gap)
+    assert found.value("E") == pytest.approx(modulus, rel=1e-6)
+    by_scale = abs(modulus * 2.0 * gap / (travel + 2.0 * gap))
+    assert found.budget.by_cause()["contact"][0] == pytest.approx(by_scale, rel=1e-4)
 
 
 @pytest.mark.slow
