@@ -12,7 +12,8 @@ s. It is a penalty that is linear in depth, with a smooth onset so that the tang
 continuous (compare Wriggers, Computational Contact Mechanics, 2006, ch. 6 and 10). The
 usual pressures of soft bodies are about that at g = 0, and the error is in proportion
 to s. Sticking friction holds points by springs along the surface that are as stiff,
-from where they came in touch.
+from where they came in touch. That place follows the state, so that there is an energy:
+the springs are softer the smaller the share of a point's way since it came in touch.
 """
 
 from collections.abc import Callable, Sequence

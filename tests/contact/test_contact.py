@@ -273,6 +273,27 @@ def test_what_sticks_moves_like_what_is_held():
     np.testing.assert_allclose(errors[0][[0, 2]] / errors[1][[0, 2]], 2.0, atol=0.4)
 
 
+@pytest.mark.parametrize("rise", [0.0, 1e-3])
+def test_springs_hold_what_sticks_from_where_it_came_in_touch(rise):
+    """Under a held face, E grip(s / 2) / s per area and slip; grip(s / 2) = 5 / 32.
+
+    Only a share of the way is slip, that behind where the face enters the cushion. The
+    energy of the springs is that of slip, so their force has the share once more.
+    """
+    rough = [replace(body, friction=2.0) for body in (FLOOR, PRESS)]
+    model, moved = block(*rough), 1e-5
+    below = Pose((0.0, 0.0, -rise))
+    floor = BodyState("held", Pose((moved, 0.0, 0.0)), below)
+    states = {"floor": floor, "press": "absent"}
+    pose = Configuration("p", ["z_min"], bodies=states, **WEIGHTLESS)
+    force = felt(model, pose, solved(model, pose))["floor"].force
+    stiffness = float(model.mechanism.contacts.stiffness)
+    share = 0.5 * SCALE / rise if rise else 1.0
+    along = -5.0 / 32.0 * share**2 * moved / SCALE
+    np.testing.assert_allclose(force[0], AREA * stiffness * along, rtol=1e-6)
+    np.testing.assert_allclose(force[2], -AREA * stiffness / 16.0, rtol=3e-3)
+
+
 def test_a_state_that_would_slide_is_called_so():
     rough = [replace(body, friction=0.02) for body in (FLOOR, PRESS)]
     model = block(*rough)
