@@ -291,7 +291,9 @@ def test_springs_hold_what_sticks_from_where_it_came_in_touch(rise):
     share = 0.5 * SCALE / rise if rise else 1.0
     along = -5.0 / 32.0 * share**2 * moved / SCALE
     np.testing.assert_allclose(force[0], AREA * stiffness * along, rtol=1e-6)
-    np.testing.assert_allclose(force[2], -AREA * stiffness / 16.0, rtol=3e-3)
+    # The springs grip better the deeper, which adds a little to the pressure.
+    normal = -1.0 / 16.0 - 9.0 / 32.0 * (share * moved / SCALE) ** 2
+    np.testing.assert_allclose(force[2], AREA * stiffness * normal, rtol=5e-4)
 
 
 def test_a_state_that_would_slide_is_called_so():
