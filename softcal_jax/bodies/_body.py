@@ -406,9 +406,9 @@ class BodyStateArrays(Module):
         return start + load * jnp.asarray(self.rotation)
 
     @property
-    def is_present(self) -> Bool[HostArray, "*batch n_b"]:
+    def is_present(self) -> Bool[Array | HostArray, "*batch n_b"]:
         """Which bodies are there."""
-        return np.asarray(self.kind) != KINDS.index("absent")
+        return self.kind != KINDS.index("absent")
 
     @property
     def is_guided(self) -> Bool[HostArray, "*batch n_b"]:

@@ -15,15 +15,6 @@ contact bear 1 % of its force.
 """
 
 
-DEEP = 3.0
-"""Depth in an obstacle that is too much, in scales of contact [-].
-
-The error budget counts the change by one scale, and depths are in proportion to it. At
-three of them the pressure is 2.5 times the modulus of contact: more than soft bodies
-stand, so that the modulus at the start was far too low, or the strain is extreme.
-"""
-
-
 def contact_doubts(
     contacts: Contacts, fits: Sequence[ConfigurationResult]
 ) -> tuple[str, ...]:
@@ -46,12 +37,12 @@ def _doubts(contacts: Contacts, pose: str, contact: ContactState) -> Iterator[st
             "if it stuck."
         )
     scale = float(contacts.scale)
-    if contact.depth > DEEP * scale:
+    if contact.depth > scale:
         E = readable(float(contacts.stiffness), "Pa")
         yield (
             f"{pose}: the body lies {readable(contact.depth, 'm')} inside "
-            f'"{contact.name}", more than three scales of contact, '
-            f"{readable(scale, 'm')} each: the pressure is more than twice {E}, the "
+            f'"{contact.name}", deeper than the scale of contact, '
+            f"{readable(scale, 'm')}: the pressure is more than half of {E}, the "
             "modulus at the start, which contact has. Start from the calibrated "
             "values; if that does not help, give a larger contact_scale or a finer "
             "mesh, so that more of the surface bears the force."

@@ -240,10 +240,10 @@ def body_state_arrays(
 def standing(mechanism: Mechanism, states: rigid.BodyStateArrays) -> Standing:
     """Return how the obstacles stand in a configuration."""
     bodies, which = mechanism.bodies, np.array(mechanism.contacts.body, int)
-    kind = jnp.asarray(states.kind)[bodies.owner]
+    present = jnp.asarray(states.is_present)[bodies.owner[which]]
     frames = rigid.Frames(
         jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
         jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
     )
     ends = rigid.frame_nodes(bodies, frames)
-    return Standing(kind[which] != rigid.KINDS.index("absent"), ends[which])
+    return Standing(present, ends[which])

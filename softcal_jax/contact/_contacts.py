@@ -168,15 +168,15 @@ def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."
     return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
 
 
-def _tamed(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Return an energy whose second derivatives are those of phi, but for deep points.
+def _expanded(
+    most: Float[Array, ""], d: Float[Array, "..."], s: Float[Array, ""]
+) -> Float[Array, "..."]:
+    """Return an energy with the second derivatives of phi, for pressures up to `most`.
 
-    Where p > E, the curvature of the obstacle counts as if p = E. Newton's method comes
-    across such pressures while an obstacle moves in, and with them the tangent would be
-    far from positive definite.
+    Beyond, the curvature of the obstacle counts as if p = E most.
     """
     still = jax.lax.stop_gradient
-    slope = jnp.minimum(_pressure(d, s), 1.0)
+    slope = jnp.minimum(_pressure(d, s), most)
     curvature = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
     return still(slope) * d + 0.5 * still(curvature) * (d - still(d)) ** 2
 
@@ -271,13 +271,15 @@ def contact_stiffness(
     x: Float[Array, "n_points 3"],
     standing: Standing,
     *,
-    tamed: bool = False,
+    tamed: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, "n_faces _ _"], ...]:
     """Differentiate the force of each clique by the positions of its nodes [N/m].
 
-    It is exact unless `tamed` for a step of Newton's method.
+    It is exact unless `tamed`: then the curvature of obstacles counts as if no pressure
+    were above E. Newton's method comes across such pressures while an obstacle moves
+    in, and with them the tangent would be far from positive definite.
     """
-    cushion = _tamed if tamed else _cushion
+    cushion = partial(_expanded, jnp.where(tamed, 1.0, jnp.inf))
     return tuple(
         _stiffness_of(contacts, k, x, standing, cushion)
         for k in range(contacts.n_obstacles)

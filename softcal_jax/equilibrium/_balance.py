@@ -237,7 +237,7 @@ def nodal_tangent(
     lambda_a: Float[Array, " n_a"],
     mesh: Float[Array, " nnz"],
     *,
-    tamed: bool = False,
+    tamed: bool | Bool[Array, ""] = False,
 ) -> Float[Array, " nnz"]:
     """Add actuators, springs and contact to the tangent of the mesh [N/m]."""
     model, nodal = posed.model, posed.spring_tangent(mesh)
@@ -277,7 +277,7 @@ def assemble(
     *,
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
-    tamed: bool = False,
+    tamed: bool | Bool[Array, ""] = False,
 ) -> Tangent:
     """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 

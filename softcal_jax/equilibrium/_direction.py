@@ -89,13 +89,14 @@ def newton_direction(
     before: Nodal | None = None,
     placed: bool = False,
     near: Bool[Array, ""] | None = None,
+    tamed: bool | Bool[Array, ""] = False,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
     The mixed formulation needs the volume ratios `theta`; if `strict` (only steps that
     lower the potential are taken), the ratios at u replace them. `before`: see
     `tangent_values`. `placed`: held nodes and bodies are known to be in place. `near`:
-    the tangent is near the last that was factorized.
+    the tangent is near the last that was factorized. `tamed`: see `contact_stiffness`.
     """
     model, u = posed.model, point.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
@@ -111,7 +112,7 @@ def newton_direction(
         values, force = mixed_tangent(model, u, theta)
     else:
         values, force = tangent_values(model, u, before), point.force
-    options = {"mesh": values, "active": active, "tamed": strict is not None}
+    options = {"mesh": values, "active": active, "tamed": tamed}
     tangent = assemble(posed, point, lambda_a, **options)
     # Held nodes that still have to move pull on the rest: - K du_held.
     pull = jax.lax.cond(

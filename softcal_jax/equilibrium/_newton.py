@@ -170,7 +170,13 @@ class NewtonLoop:
         """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
         direction = newton_direction(
-            posed, s.point, s.lambda_a, theta=s.theta, strict=strict
+            posed,
+            s.point,
+            s.lambda_a,
+            theta=s.theta,
+            strict=strict,
+            # Exact near the solution, where negative eigenvalues tell of stability.
+            tamed=s.residual.size > _NEAR,
         )
         factor = direction.factor
         downhill = jnp.ones((), bool)

@@ -218,7 +218,7 @@ class Posed(NamedTuple):
         return contact_energy_and_force(self.contacts, x, self.standing)
 
     def contact_tangent(
-        self, u: Nodal, values: Float[Array, " nnz"], *, tamed: bool
+        self, u: Nodal, values: Float[Array, " nnz"], *, tamed
     ) -> Float[Array, " nnz"]:
         """Add contact to the tangent over all nodes, see `contact_stiffness` [N/m]."""
         if self.contacts.n_obstacles == 0:
