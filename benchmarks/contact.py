@@ -202,8 +202,8 @@ PRECISE = NewtonSettings(rtol=1e-10)
 PROBE = 6e-3
 """Radius of the probe [m]."""
 
-PLACES = [(0.01, -0.6e-3), (0.016, -0.9e-3), (0.022, -1.2e-3)]
-PLACES += [(0.038, -0.4e-3), (0.044, -0.6e-3), (0.05, -0.8e-3)]
+PLACES = [(0.01, -0.5e-3), (0.016, -0.7e-3), (0.022, -0.9e-3)]
+PLACES += [(0.038, -0.3e-3), (0.044, -0.45e-3), (0.05, -0.6e-3)]
 """Where the finger is pressed along its length, and how far [m]."""
 
 

@@ -43,7 +43,6 @@ def _doubts(contacts: Contacts, pose: str, contact: ContactState) -> Iterator[st
             f"{pose}: the body lies {readable(contact.depth, 'm')} inside "
             f'"{contact.name}", deeper than the scale of contact, '
             f"{readable(scale, 'm')}: the pressure is more than half of {E}, the "
-            "modulus at the start, which contact has. Start from the calibrated "
-            "values; if that does not help, give a larger contact_scale or a finer "
-            "mesh, so that more of the surface bears the force."
+            "modulus at the start, which contact has. Start with a larger modulus, or "
+            "press less."
         )

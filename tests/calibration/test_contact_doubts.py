@@ -47,7 +47,7 @@ def test_what_lies_deep_is_named(model):
     (doubt,) = doubts(model, depth=1.1 * SCALE).contact_doubts
     E = 3.0 * 2e5 / 2.8  # of a body with the same shear modulus that keeps its volume
     assert says(doubt, '"press 3"', "0.22 mm", '"probe"', f"{1e-3 * E:.6g} kPa")
-    assert "Start from the calibrated values" in doubt
+    assert "Start with a larger modulus" in doubt
     assert doubts(model, depth=SCALE).contact_doubts == ()
 
 
