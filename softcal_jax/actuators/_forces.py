@@ -20,18 +20,21 @@ from softcal_jax.mesh import face_shares
 
 
 class ForceActuator(AbstractActuator):
-    """A force of fixed direction at a material point of the body.
+    """A force of fixed direction at a material point of the mesh or of a rigid body.
 
     delta_a = d . (x_point - X_point) with d the unit direction [m]; lambda_a is the
     force [N].
 
     Attributes:
-        point: Its point of action at rest, on or in the mesh [m].
+        point: Its point of action at rest, on or in the mesh, or fixed to the body [m].
         direction: Direction of a positive force, of any length.
+        body: The rigid body that it pushes, like a probe; by default it acts on the
+            mesh.
     """
 
     point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    body: str | None = None
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
 
     def __check_init__(self):
@@ -39,7 +42,10 @@ class ForceActuator(AbstractActuator):
         unit_vector(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
-        nodes, weights = rest.on_mesh(self.point, self.label)
+        if self.body is None:
+            nodes, weights = rest.on_mesh(self.point, self.label)
+        else:
+            nodes, weights = rest.on_body(self.point, self.body, self.label)
         parts = weights[None, :, None] * unit_vector("direction", self.direction)
         return (WeightedNodes(*owned(nodes[None], owner, parts)),)
 

@@ -201,6 +201,7 @@ class ForceActuatorTable(ActuatorTable):
     type: Literal["point-force"]
     point: typed.Position = Field(description='where it acts: "(50, 10, 0) mm"')
     direction: Positive
+    body: str | None = None
 
 
 class SurfaceForceActuatorTable(ActuatorTable):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from softcal_jax.actuators import ForceActuator
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
@@ -15,6 +16,7 @@ from softcal_jax.configurations import (
     Configuration,
     ContactForce,
     ContactMoment,
+    ImposedForce,
     Support,
     configuration_arrays,
 )
@@ -41,13 +43,14 @@ FLOOR = RigidBody("floor", shape=HalfSpace())
 PRESS = RigidBody("press", shape=HalfSpace(), origin=(0, 0, SIDE), axes=DOWN)
 
 
-def block(*bodies, density=0.0, cells=(2, 2, 2), scale=SCALE):
+def block(*bodies, density=0.0, cells=(2, 2, 2), scale=SCALE, actuators=()):
     """A cube; obstacles of one shape and name share their programs."""
     return build_model(
         beam(SIDE, SIDE, SIDE, cells, order=2),
         Corotational(Isotropic(E, NU)),
         density=density,
         bodies=bodies,
+        actuators=actuators,
         contact_scale=scale,
     )
 
@@ -100,16 +103,19 @@ def test_a_block_between_planes_is_compressed_evenly(travel):
     )
 
 
-def test_a_weight_slides_down_until_the_block_carries_it():
-    mass, gravity = 0.2, 9.81
+def test_a_weight_that_is_pushed_slides_down_until_the_block_carries_it():
+    mass, gravity, pushed = 0.2, 9.81, 1.5
     plate = RoundedBox((0.03, 0.03, 0.01), 2e-3)
     weight = RigidBody(
         "weight", shape=plate, origin=(0.01, 0.01, SIDE + 5e-3), mass=mass
     )
-    model = block(FLOOR, weight)
+    middle = (0.01, 0.01, SIDE + 0.01)
+    push = ForceActuator("push", middle, (0.0, 0.0, -1.0), body="weight")
+    model = block(FLOOR, weight, actuators=[push])
     pose = Configuration(
         "p",
         SYMMETRY,
+        actuation={"push": ImposedForce(pushed)},
         gravity=(0, 0, -gravity),
         bodies={"weight": "sliding"},
         effectors=[ContactForce("force", "weight"), BodyFrame("place", "weight")],
@@ -117,8 +123,9 @@ def test_a_weight_slides_down_until_the_block_carries_it():
     solution = solved(model, pose)
     lane = configuration_arrays(model.mesh, [pose], model.mechanism)[0]
     place, _, force = effector_values(model, lane, solution.displacement)
-    np.testing.assert_allclose(force, (0, 0, mass * gravity), atol=1e-7)
-    pressure = mass * gravity / AREA
+    total = mass * gravity + pushed
+    np.testing.assert_allclose(force, (0, 0, total), atol=1e-7)
+    pressure = total / AREA
     sunk = SIDE * pressure / E - 2.0 * gap_under(model, pressure)
     np.testing.assert_allclose(place[2], SIDE + 5e-3 - sunk, atol=1e-8)
 
