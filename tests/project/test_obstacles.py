@@ -6,6 +6,7 @@ import pytest
 from wording import says
 
 import softcal_jax as sc
+from softcal_jax.actuators import actuator_rows
 from softcal_jax.bodies import BodyState
 from softcal_jax.configurations import ContactForce, ContactMoment
 from softcal_jax.contact import (
@@ -299,3 +300,30 @@ def test_refused_with_its_key(tmp_path, change, message):
     with pytest.raises(ProjectError) as caught:
         load_project(path, solve=False)
     assert says(str(caught.value).removeprefix(f"{path}: "), message)
+
+
+def test_a_force_pushes_a_probe(tmp_path):
+    """It acts on the frame of the body, not on the pad below it."""
+    push = (
+        "[effectors.cell]\n",
+        '[actuators.push]\ntype = "point-force"\npoint = "(10, 10, 20) mm"\n'
+        'direction = "-z"\nbody = "probe"\n\n[effectors.cell]\n',
+    )
+    loaded = (
+        'bodies = { probe = "sliding" }',
+        'bodies = { probe = "sliding" }\nactuation = { push = "2 N" }',
+    )
+    project = load_project(write(tmp_path, push, loaded))
+    mechanism = project.model.mechanism
+    assert project.configurations[1].actuation["push"].value == 2.0
+    rows = np.asarray(
+        actuator_rows(mechanism.actuators, jnp.asarray(mechanism.points))
+    )[0]
+    np.testing.assert_allclose(rows.sum(axis=0), (0.0, 0.0, -1.0), atol=1e-12)
+    acted = np.flatnonzero(np.abs(rows).any(axis=1))
+    probe = mechanism.bodies.names.index("probe")
+    assert set(acted) <= set(project.model.mesh.n_nodes + 4 * probe + np.arange(4))
+    unknown = (push[0], push[1].replace('body = "probe"', 'body = "prob"'))
+    (tmp_path / "bad").mkdir()
+    with pytest.raises(ProjectError, match=r"(?s)push.*'prob'.*'probe'"):
+        load_project(write(tmp_path / "bad", unknown, loaded))
