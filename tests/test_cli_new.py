@@ -376,19 +376,15 @@ def test_a_proposed_project_is_calibrated_as_it_is(tmp_path, body):
 
 
 @pytest.mark.slow  # minutes
-@pytest.mark.parametrize("robot", ["pneumatic-finger", "parallel-robot", "pressed-pad"])
+@pytest.mark.parametrize("robot", ["pneumatic-finger", "parallel-robot"])
 def test_ready_made_robots_are_calibrated(tmp_path, robot):
-    """To the moduli behind the readings; and they predict poses not seen before."""
+    """The finger to its modulus; and both predict poses not seen before."""
     new(tmp_path / "mine", "--robot", robot)
     result = load_project(tmp_path / "mine/project.toml").calibrate()
     assert result.converged
     if robot == "pneumatic-finger":
         (E,) = result.parameters
         assert abs(E.value - FINGER_E) < 2.0 * E.standard_error
-    if robot == "pressed-pad":
-        assert result.verdict.identifiable
-        for E, true in zip(result.parameters, PAD_E.values(), strict=True):
-            assert abs(E.value - true) < 2.0 * E.standard_error
     held_out = [c for c in result.configurations if c.role == "validation"]
     assert held_out
     # Not each pose of seven: the readings have noise.
