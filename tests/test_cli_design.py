@@ -80,7 +80,7 @@ starts = 1
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     path = tmp_path_factory.mktemp("designed") / "project.toml"
-    path.write_text(PROJECT)
+    path.write_text(PROJECT.replace("[design]", "[design]\nlargest_stretch = 1.5"))
     return path
 
 
@@ -185,8 +185,7 @@ def test_poses_of_the_print_calibrate_it(designed, tmp_path):
 
 
 def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
-    weak = PROJECT.replace("0 N to 6 N", "0 N to 0.3 N")
-    weak = weak.replace("[design]", "[design]\nlargest_stretch = 1.5")
+    weak = project.read_text().replace("0 N to 6 N", "0 N to 0.3 N")
     (tmp_path / "project.toml").write_text(weak)
     args = ["design", str(tmp_path / "project.toml"), "-o", str(tmp_path / "out")]
     assert main([*args, "--no-pictures"]) == 1
