@@ -1,14 +1,35 @@
-"""Meshes of CAD models: solids of a STEP file, or the inside of an STL surface."""
+"""Meshes of CAD models: solids of a STEP file, or the inside of an STL surface.
 
+Gmsh fills them with tets, or fTetWild where a surface is not clean, in processes of
+their own (`_program.py`), with limits on time and memory.
+"""
+
+import importlib.util
 import math
 import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
 import warnings
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from softcal_jax import mesh as meshes
 from softcal_jax._files import check_file
+from softcal_jax._limits import (
+    MESHING_MEGABYTES,
+    MESHING_SECONDS,
+    TETS,
+    Limit,
+    LimitError,
+)
 from softcal_jax._names import METRES
-from softcal_jax.exchange.cad._filling import Filled, GmshError, fill
+from softcal_jax._text import escaped
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
 
 _STEP = (".step", ".stp")
@@ -18,7 +39,32 @@ CAD_FORMATS = (*_STEP, ".stl")
 ENVELOPE = 1e-3
 """How far fTetWild may move the surface, over the diagonal of the model [-]."""
 
+PROGRAM = Path(__file__).with_name("_program.py")
+"""What fills models, in a process of its own."""
+
+_OUT_OF_MEMORY = re.compile("MemoryError|bad_alloc|alloc failed|out of memory", re.I)
+"""How programs say that they get no more memory."""
+
 _LOST = 0.02  # share of the volume that flat faces may cut off without a warning [-]
+
+
+class GmshError(ValueError):
+    """Gmsh does not fill a model, or its surface is open; the text is what it says."""
+
+
+class Filled(NamedTuple):
+    """A volume filled with linear tets, in the length unit of the model.
+
+    `faces` are corners of the triangles on each face of the model that bounds the body,
+    `solids` indices of the tets of each solid; the volume of the model is nan if
+    unknown.
+    """
+
+    points: Float[HostArray, "n_nodes 3"]
+    tets: Int[HostArray, "n_tets 4"]
+    faces: list[Int[HostArray, "_ 3"]]
+    solids: list[Int[HostArray, " _"]]
+    volume: float
 
 
 def mesh_cad(
@@ -160,3 +206,78 @@ def _named(filled: Filled, metres: float) -> meshes.TetMesh:
         for k, tets in enumerate(filled.solids):
             mesh = mesh.with_tet_group(f"solid {k + 1}", tets)
     return mesh
+
+
+def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
+    """Fill a model by "gmsh, STEP", "gmsh, STL" or "pytetwild", in its unit."""
+    package = by.split(",")[0]
+    if importlib.util.find_spec(package) is None:
+        raise ImportError(
+            f"making a mesh of a CAD model needs {package}: pip install "
+            "'softcal-jax[cad]'."
+        )
+    limits = {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
+    given = {"by": by, "size": size, **given, **limits}
+    with tempfile.TemporaryDirectory() as folder:
+        given_at, made_at = Path(folder, "given"), Path(folder, "made")
+        given_at.write_bytes(pickle.dumps(given))
+        command = [sys.executable, str(PROGRAM), str(given_at), str(made_at)]
+        options = {"cwd": folder, "capture_output": True, "errors": "replace"}
+        seconds = min(MESHING_SECONDS.most, threading.TIMEOUT_MAX)
+        try:
+            done = subprocess.run(command, timeout=seconds, **options)
+        except subprocess.TimeoutExpired as error:
+            raise _at_limit(by, "has not filled it within", MESHING_SECONDS) from error
+        if done.returncode == 0:
+            made = pickle.loads(made_at.read_bytes())
+        else:
+            made = {"reason": "ended", "text": _how_it_ended(done), "number": math.nan}
+    if "reason" in made:
+        raise _refusal(by, **made)
+    return Filled(**made)
+
+
+def _at_limit(by: str, what: str, limit: Limit) -> LimitError:
+    name = "fTetWild" if by == "pytetwild" else "gmsh"
+    return LimitError(
+        f"{name} {what} the limit of {limit.most:g} {limit.unit}, as happens where a "
+        "model is damaged. Export it again, take larger tets, or raise the limit with "
+        f"the environment variable {limit.variable}."
+    )
+
+
+def _how_it_ended(process: subprocess.CompletedProcess[str]) -> str:
+    # By SIGKILL Linux ends a process when memory runs out.
+    if _OUT_OF_MEMORY.search(process.stderr) or process.returncode == -9:
+        return "out of memory"
+    if process.returncode < 0:
+        return f"it crashed ({signal.strsignal(-process.returncode)})"
+    return (process.stderr.strip().splitlines() or ["it does not say why"])[-1]
+
+
+def _refusal(
+    by: str, reason: str, text: str, number: float
+) -> ValueError | ImportError:
+    """Return the error of a reason for which nothing was made."""
+    text = escaped(text)
+    if _OUT_OF_MEMORY.search(text):
+        what = "needs more memory than there is, or than"
+        return _at_limit(by, what, MESHING_MEGABYTES)
+    if reason == "tets":
+        return TETS.error(text, number)
+    if reason == "import":
+        return ImportError(
+            f"gmsh is installed, but cannot be loaded ({text}). On Debian or Ubuntu: "
+            "sudo apt install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1"
+        )
+    if by == "pytetwild":
+        fails = "fTetWild fails: " if reason == "ended" else ""
+        return ValueError(f"gmsh cannot fill this surface, and {fails}{text}.")
+    if reason == "ended":  # where no memory is left, some parts of gmsh crash
+        return GmshError(
+            f"gmsh fails: {text}. The file seems to be damaged, or its surfaces cross: "
+            "open it in a CAD program, mend it, and export it again. If it is sound, "
+            f"it may need more memory than the limit of {MESHING_MEGABYTES.most:g} MB, "
+            f"which the environment variable {MESHING_MEGABYTES.variable} raises."
+        )
+    return GmshError(text) if reason == "gmsh" else ValueError(text)

@@ -20,7 +20,7 @@ from wording import says
 from softcal_jax._limits import LimitError
 from softcal_jax.actuators import Chamber, actuator_arrays
 from softcal_jax.elements import TET_EDGES
-from softcal_jax.exchange.cad import _filling, mesh_cad
+from softcal_jax.exchange.cad import _mesh, mesh_cad
 from softcal_jax.mesh import (
     MeshWarning,
     boundary_faces,
@@ -228,7 +228,7 @@ def test_how_the_process_ends_is_said(
 ):
     other = tmp_path / "other.py"
     other.write_text(f"import os, sys, time\n{program}\n")
-    monkeypatch.setattr(_filling, "PROGRAM", other)
+    monkeypatch.setattr(_mesh, "PROGRAM", other)
     for unit, value in limit.items():
         monkeypatch.setenv(f"SOFTCAL_MAX_MESHING_{unit}", value)
     with pytest.raises(ValueError, match=r"box\.step: ") as caught:
