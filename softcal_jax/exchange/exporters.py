@@ -294,20 +294,16 @@ def exporters() -> dict[str, AbstractExporter]:
         "icesl": _IceslExporter(),
     }
     for point in entry_points(group=GROUP):
+        exporter, reason = None, f"{point.value} is no AbstractExporter"
         try:
             exporter = point.load()()
         except Exception as error:  # the code of others may raise anything
-            _leave_out(point.name, f"{point.value} cannot be loaded: {error}")
+            reason = f"{point.value} cannot be loaded: {error}"
+        if isinstance(exporter, AbstractExporter) and point.name not in known:
+            known[point.name] = exporter
             continue
         if point.name in known:
-            _leave_out(point.name, "another one has this name")
-        elif not isinstance(exporter, AbstractExporter):
-            _leave_out(point.name, f"{point.value} is no AbstractExporter")
-        else:
-            known[point.name] = exporter
+            reason = "another one has this name"
+        text = f"the installed exporter {point.name!r} is left out: {reason}."
+        warnings.warn(text, ExporterWarning, stacklevel=2)
     return known
-
-
-def _leave_out(name: str, reason: str) -> None:
-    text = f"the installed exporter {name!r} is left out: {reason}."
-    warnings.warn(text, ExporterWarning, stacklevel=3)
