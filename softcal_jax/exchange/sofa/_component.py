@@ -122,16 +122,14 @@ def law_for_sofa(
     Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
     A ValueError says why there is no counterpart, and what to do.
     """
-    elasticity = getattr(law, "elasticity", None)
-    if isinstance(law, Corotational | ClassicalCorotational):
-        if isinstance(elasticity, Isotropic):
-            return SofaCorotational.of_mesh(mesh, elasticity, rotation)
-        if isinstance(elasticity, TransverseIsotropic | ReducedTransverseIsotropic):
-            of_plugin = PluginElasticity(elasticity)
-            return SofaCorotational.of_mesh(mesh, of_plugin, "large")
     hooke = formats.hooke_of(law)
-    if choice == "corotational" and hooke is not None:
+    linear = isinstance(law, Corotational | ClassicalCorotational)
+    if hooke is not None and (linear or choice == "corotational"):
         return SofaCorotational.of_mesh(mesh, hooke, rotation)
+    elasticity = getattr(law, "elasticity", None)
+    fibres = TransverseIsotropic | ReducedTransverseIsotropic
+    if linear and isinstance(elasticity, fibres):
+        return SofaCorotational.of_mesh(mesh, PluginElasticity(elasticity), "large")
     if hooke is None or not isinstance(law, NeoHookean | StVenantKirchhoff):
         raise _no_counterpart(law)
     if any(np.ndim(leaf) > 0 for leaf in jax.tree.leaves(law)):
@@ -198,10 +196,8 @@ def component_of(
 
 
 def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Component:
-    E_t, E_l, nu_t, nu_tl = (
-        np.broadcast_to(np.asarray(value), (n_tets,))
-        for value in elasticity.constants()
-    )
+    each = [np.broadcast_to(value, (n_tets,)) for value in elasticity.constants()]
+    E_t, E_l, nu_t, nu_tl = each
     if np.any(nu_tl == 0.0):
         raise ValueError(
             "nu_tl is 0, where the plugin Anisotropy divides by zero; give another one."

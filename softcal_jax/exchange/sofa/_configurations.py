@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 
 from softcal_jax import actuators
@@ -69,12 +68,12 @@ def scene_data(
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     stems, written = file_stems([c.name for c in configurations]), {}
     for i, configuration in enumerate(configurations):
-        lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
-        _, lane = space.apply(model, lane, z)
+        _, lane = space.apply(model, lanes.arrays[i], z)
         force = np.asarray(lane.dead_loads)
         loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
         loads = masses[:, None] * np.asarray(lane.acceleration) + force
         size = float(np.linalg.norm(np.where(lane.fixed, 0.0, loads)))
+        x = model.mesh.points + np.asarray(displacements[i])
         written[configuration.name] = {
             "file": stems[i],
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
@@ -84,12 +83,7 @@ def scene_data(
                 "forces": (scale.force * force[loaded]).tolist(),
             },
             **_actuators(model, lane, scale),
-            "effectors": _effectors(
-                lane,
-                lanes.effectors[i],
-                model.mesh.points + np.asarray(displacements[i]),
-                scale,
-            ),
+            "effectors": _effectors(lane, lanes.effectors[i], x, scale),
             # Relative to the nodal loads; 0 without a load on free nodes.
             "stop at residual": CONVERGED * scale.force * size,
         }
@@ -118,23 +112,21 @@ def _supports(
         )
     moved = np.flatnonzero(np.any(fixed & (imposed != 0.0), axis=1))
     kinds = model.mechanism.actuators.kinds
-    chambers = [k for k, kind in enumerate(kinds) if kind is actuators.Chamber.kind]
-    by_displacement = np.asarray(lane.actuation.by_displacement)
-    if moved.size and any(by_displacement[chambers]):
+    is_chamber = np.array([kind is actuators.Chamber.kind for kind in kinds], bool)
+    if moved.size and np.any(is_chamber & np.asarray(lane.actuation.by_displacement)):
         raise ValueError(
             f"configuration {configuration.name!r}: a chamber with an imposed volume "
             "is not written beside a support that is moved, since SOFA counts its "
             "growth from there. Impose its pressure."
         )
-    ways = [tuple(row) for row in np.unique(fixed, axis=0).tolist() if any(row)]
     stiffness = scale.force / scale.length * np.asarray(lane.springs.coefficients())
     return {
         "held": [
             {
-                "directions": [int(way) for way in directions],
+                "directions": directions.astype(int).tolist(),
                 "indices": np.flatnonzero((fixed == directions).all(axis=1)).tolist(),
             }
-            for directions in ways
+            for directions in np.unique(fixed[fixed.any(axis=1)], axis=0)
         ],
         "moved": {
             "indices": moved.tolist(),

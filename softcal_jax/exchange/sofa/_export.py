@@ -156,10 +156,8 @@ def export_sofa(
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
 
-    SOFA runs linear tets, which are too stiff, with a rotation of its own, so the
-    calibrated moduli are not the ones that it needs. The model is therefore fitted once
-    more to the same measurements, with the mesh and the law that SOFA will run, and its
-    values are written.
+    SOFA runs linear tets, which are too stiff, with a rotation of its own. So the model
+    is fitted once more to the same measurements, with the mesh and the law of SOFA.
 
     The folder holds `scene.py` for SofaPython3, `robot.vtk` (the linear mesh),
     `robot.json` (all numbers, in the units of the scene), and `README.md` with the
@@ -182,9 +180,8 @@ def export_sofa(
         ResultError: If the result cannot be loaded, see `load_result`.
         FileExistsError: If the folder is not empty, and `force` is off or it holds
             something else.
-        NotConvergedError: If the calibration for SOFA does not converge. Nothing is
-            written then.
-        RuntimeError: If a configuration has no equilibrium with the model of SOFA.
+        NotConvergedError: If the calibration does not converge; nothing is written.
+        RuntimeError: If no configuration has an equilibrium with the model of SOFA.
         ValueError: If an option is unknown, or the law, the robot or a support has no
             counterpart in SOFA; the text says why, and what to do.
     """
@@ -193,10 +190,9 @@ def export_sofa(
     check_known("law", get_args(SofaLaw), law)
     folder = Path(directory)
     loaded, project = formats.linear_result(result, folder, force=force)
-    check_robot(project.model)
-    sofa_law = law_for_sofa(
-        project.model.law, project.model.mesh, choice=law, rotation=rotation
-    )
+    model = project.model
+    check_robot(model)
+    sofa_law = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
     assert project.space is not None  # it has been calibrated
     of_plugin = isinstance(getattr(sofa_law, "elasticity", None), PluginElasticity)
     if of_plugin and "mu_l" in project.space.field_names:
@@ -204,20 +200,13 @@ def export_sofa(
             "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
             "along the fibre from E_t; calibrate without it, and export that."
         )
-    model = model_for_law(project.model, sofa_law)
+    model = model_for_law(model, sofa_law)
     # Refused before the work is done.
     component_of(model.law, model.n_tets, release, SCALES[units])
     refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
     refitted = refit.result
-    scene = scene_data(
-        project.name,
-        refitted.model,
-        refitted.space,
-        refitted.z,
-        *refit.solved,
-        release=release,
-        units=units,
-    )
+    fitted = refitted.model, refitted.space, refitted.z, *refit.solved
+    scene = scene_data(project.name, *fitted, release=release, units=units)
     elasticity = scene["elasticity"]
     notes = [*refit.notes, *_notes(refitted, elasticity["plugin"])]
     tets = model.mesh.tets
