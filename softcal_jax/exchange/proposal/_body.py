@@ -69,8 +69,8 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
         return Body(mesh, unit, guessed, None, drop)
     options = {"length_unit": unit, "order": 1}
     if size is None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)  # this one is thrown away
+        # This mesh is thrown away.
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):
             first = mesh_cad(path, **options)
         # Enough for bending, and solved in seconds.
         size = float(f"{first.size / 20.0:.1g}")
@@ -88,8 +88,8 @@ def _guess_unit(path: Path) -> str:
         check_file(path, "CAD model")
         points = read_stl(path).points
     else:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)  # repeated when it is read
+        # What is warned of is repeated when it is read.
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):
             points = read_mesh(path, length_unit="m", unused="drop").points
     return "mm" if np.ptp(points, axis=0).max() > 2.0 else "m"
 
@@ -124,13 +124,11 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
         nodes = node_indices(mesh, named[0], "a support")
         return Held(named[0], (), mesh.points[nodes].mean(axis=0))
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    extent = high - low
+    extent, point = high - low, 0.5 * (low + high)
     # Among nearly equal sides the upright one.
     axis = 2 if extent[2] > 0.9 * extent.max() else int(np.argmax(extent))
-    end, middle = low[axis], 0.5 * (low + high)
-    if moving is not None and moving.mean(axis=0)[axis] < middle[axis]:
-        end = high[axis]
-    point = np.where(np.arange(3) == axis, end, middle)
+    upper = moving is not None and moving.mean(axis=0)[axis] < point[axis]
+    point[axis] = high[axis] if upper else low[axis]
     plane = Plane(point=point, normal=np.eye(3)[axis], tolerance=_FLAT * mesh.size)
     of = ('of = "faces"',)
     try:

@@ -195,7 +195,17 @@ def _configurations(findings: Findings) -> Iterator[str]:
     tip = in_mm(findings.tip)
     load = f'loads = [{{ point = {tip}, force = "(0, 0, -{weight:.1g}) N" }}]'
     if findings.recorded is None:
-        yield from _unmeasured(findings, load)
+        yield f"""# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
+#   [shared.measured]
+#   file = "markers.csv"
+#   displacement_from = "hanging"
+# and in each configuration: measured.select = {{ pose = "hanging" }}
+[[configurations]]
+name = "hanging"
+
+[[configurations]]
+name = "loaded"
+{_driven(findings, "", load)}"""
         return
     last = len(findings.poses) - 1
     for k, pose in enumerate(findings.poses):
@@ -208,21 +218,6 @@ def _configurations(findings: Findings) -> Iterator[str]:
         if not unloaded:
             yield _driven(findings, pose.name, load)
         yield from _measured(findings, pose)
-
-
-def _unmeasured(findings: Findings, load: str) -> Iterator[str]:
-    """Write two configurations, and how their measurements are added."""
-    yield f"""# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
-#   [shared.measured]
-#   file = "markers.csv"
-#   displacement_from = "hanging"
-# and in each configuration: measured.select = {{ pose = "hanging" }}
-[[configurations]]
-name = "hanging"
-
-[[configurations]]
-name = "loaded"
-{_driven(findings, "", load)}"""
 
 
 def _driven(findings: Findings, name: str, load: str) -> str:

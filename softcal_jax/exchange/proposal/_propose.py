@@ -1,11 +1,8 @@
 """A project folder for a robot: a ready-made one, or one's own mesh or CAD model."""
 
-import os
 import shutil
-import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +23,7 @@ from softcal_jax.exchange.proposal._recorded import (
     Recorded,
     read_recorded,
 )
+from softcal_jax.export import results_folder
 from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
 from softcal_jax.robots import ready_made_path
@@ -50,7 +48,8 @@ def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
     """
     source = ready_made_path(name).parent
     files = sorted(path for path in source.iterdir() if path.is_file())
-    with _new_folder(folder) as made:
+    _check_absent(folder)
+    with results_folder(folder) as made:
         for file in files:
             shutil.copyfile(file, made / file.name)
     return tuple(file.name for file in files)
@@ -66,8 +65,7 @@ def propose_project(
 ) -> Findings:
     """Write a project for a mesh or CAD model, and guess what the files do not state.
 
-    Lines that hold a guess end in a remark "# CHANGE: ..."; `load_project` warns of
-    those that are left.
+    Each guess has a remark "# CHANGE: ..."; `load_project` warns of those that stay.
 
     Args:
         model: A mesh file, or a STEP or STL file.
@@ -90,7 +88,7 @@ def propose_project(
     if recordings:
         recorded = read_recorded(recordings, float(np.ptp(body.mesh.points, 0).max()))
     findings = _find(model, body, recorded)
-    with _new_folder(folder) as made:
+    with results_folder(folder) as made:
         for file in (model, *recordings):
             if file is not model or findings.model == model.name:
                 shutil.copyfile(file, made / file.name)
@@ -147,11 +145,8 @@ def _markers(
 
 
 def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
-    """Return a point of the skin above a place within, or at a larger x [m].
-
-    It is searched for from the box around the mesh, because the point nearest to the
-    place may be on the wall of a cavity, where nobody glues a marker.
-    """
+    """Return a point of the skin above a place within, or at a larger x [m]."""
+    # From the box around the mesh, since the nearest point may be in a cavity.
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     side = 0 if np.argmax(high - low) == 2 else 2
     above = np.where(np.arange(3) == side, high, place)
@@ -165,18 +160,3 @@ def _check_absent(folder: Path) -> None:
             f"{folder} is there already, and nothing of it is overwritten. Choose "
             "another name."
         )
-
-
-@contextmanager
-def _new_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder to write into, which gets its name only if all went well."""
-    _check_absent(folder)
-    folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(
-        prefix=f".{folder.name}.", dir=folder.absolute().parent
-    ) as made:
-        inner = Path(made, folder.name)
-        inner.mkdir()
-        yield inner
-        _check_absent(folder)
-        os.rename(inner, folder)

@@ -25,10 +25,9 @@ _REST = re.compile(
 
 
 class RecordedPose(NamedTuple):
-    """A pose that was recorded.
+    """A pose that was recorded, and the positions of markers in it by label [m].
 
-    `select` is what a project file takes of the file, as TOML; `seen` are the positions
-    of the markers that were seen, by label, in the frame of the file [m].
+    `select` is what a project file takes of the file, as TOML.
     """
 
     name: str
@@ -91,15 +90,9 @@ class MarkerPlace(NamedTuple):
 class Findings(NamedTuple):
     """What a project is written from.
 
-    Attributes:
-        model: The model, as the project file names it.
-        body: Its mesh.
-        held: What is proposed to be held.
-        tip: Where a load is proposed to act [m].
-        chambers: Whether chambers have a rim, by the names of their surfaces.
-        recorded: The poses, if there is a recording.
-        own_frame: Whether the recording has another frame than the mesh.
-        markers: The markers.
+    The model is named as in the project file, and a load is proposed to act at `tip`
+    [m]. `chambers` says by the name of a surface whether it has a rim, and `own_frame`
+    whether the recording has another frame than the mesh.
     """
 
     model: str
