@@ -1,16 +1,18 @@
 """Export a calibrated robot as a scene of SOFA: calibrate it again, and write it."""
 
+import io
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
+import meshio
 
 from softcal_jax._module import Module
 from softcal_jax._names import check_known
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.equilibrium import model_for_law
 from softcal_jax.exchange import _formats as formats
@@ -50,34 +52,13 @@ def write_scene(
     README.md quotes `text`, lines on the calibration in columns, and `notes`.
     """
     with results_folder(directory, force=force) as folder:
-        _write_vtk(folder / "robot.vtk", np.array(data["positions"]), tets)
+        mesh = meshio.Mesh(data["positions"], [("tetra", tets)])
+        with redirect_stderr(io.StringIO()):  # meshio warns of text, which SOFA reads
+            mesh.write(folder / "robot.vtk", file_format="vtk42", binary=False)
         shutil.copyfile(Path(__file__).with_name("scene.py"), folder / "scene.py")
         readme = _readme(data, text, notes)
         (folder / "README.md").write_text(readme, encoding="utf-8")
         write_json(folder / "robot.json", data)
-
-
-def _write_vtk(
-    path: Path, points: Float[HostArray, "n 3"], tets: Int[HostArray, "n_tets 4"]
-) -> None:
-    """Write linear tets as SOFA reads them: VTK before version 5, as text.
-
-    Numbers have full precision, which the writer of VTK itself does not keep.
-    """
-    rows = lambda table: "\n".join(" ".join(map(repr, row)) for row in table.tolist())
-    cells = np.insert(tets, 0, 4, axis=1)
-    text = f"""\
-# vtk DataFile Version 4.2
-written by softcal_jax
-ASCII
-DATASET UNSTRUCTURED_GRID
-POINTS {len(points)} double
-{rows(points)}
-CELLS {len(cells)} {cells.size}
-{rows(cells)}
-CELL_TYPES {len(cells)}
-"""
-    path.write_text(text + "10\n" * len(cells), encoding="ascii")
 
 
 def _readme(data: dict[str, Any], text: Sequence[str], notes: Sequence[str]) -> str:
