@@ -170,7 +170,8 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
         "envelope": ENVELOPE,
     }
     try:
-        if n := triangles.n_open_edges:
+        sides = meshes.sides_of(triangles.triangles)
+        if n := int((sides.counts != 2).sum()):
             raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
         return fill("gmsh, STL", given, size)
     except GmshError as error:

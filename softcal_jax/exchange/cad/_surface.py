@@ -26,11 +26,6 @@ class Triangles(NamedTuple):
         """Volume that the triangles enclose, where their normals point outwards."""
         return float(np.sum(_cones(self.corners)))
 
-    @property
-    def n_open_edges(self) -> int:
-        """Number of edges that do not belong to exactly two triangles."""
-        return int(np.sum(sides_of(self.triangles).counts != 2))
-
 
 def read_stl(path: Path) -> Triangles:
     """Read an STL file, binary or text; corners at the same place become one.

@@ -88,7 +88,13 @@ def export_icesl(
     check_known("axis to mark", ("soft", "stiff"), angle_marks or "soft")
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
-    directory, design, foam = Path(directory), _design(result), _foam(infill, table)
+    directory, design = Path(directory), _design(result)
+    foam = table if isinstance(table, FoamTable) else foam_table(infill, table)
+    if foam.infill != infill:
+        raise ValueError(
+            f"the table is of {foam.infill}, and the infill is {infill!r}: give both "
+            "alike."
+        )
     plane = plane or fields.print_plane(design.model)
     part = fields.part_on_bed(design.model.mesh, plane=plane, region=region)
     samples = fields.sample(design, part)
@@ -139,17 +145,3 @@ def _design(source: Printable) -> Design:
         return Design(source.model, source.space, z, source.name)
     title = source.project.name if isinstance(source, LoadedResult) else "robot"
     return Design(source.model, source.space, source.z, title)
-
-
-def _foam(
-    infill: Infill, table: FoamTable | str | os.PathLike[str] | None
-) -> FoamTable:
-    """Return the given table of the infill, or the published one."""
-    if not isinstance(table, FoamTable):
-        table = foam_table(infill, table)
-    if table.infill != infill:
-        raise ValueError(
-            f"the table is of {table.infill}, and the infill is {infill!r}: give both "
-            "alike."
-        )
-    return table

@@ -3,7 +3,7 @@
 import io
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any, get_args
@@ -188,24 +188,20 @@ def export_sofa(
     refitted = refit.result
     fitted = refitted.model, refitted.space, refitted.z, *refit.solved
     scene = scene_data(project.name, *fitted, release=release, units=units)
-    elasticity = scene["elasticity"]
-    notes = [*refit.notes, *_notes(refitted, elasticity["plugin"])]
-    tets = model.mesh.tets
-    write_scene(folder, scene, tets, text=refit.lines, notes=notes, force=force)
-    lines = *refit.lines, *([""] if notes else []), *notes
-    return SofaExport(elasticity["component"], refitted, lines)
-
-
-def _notes(refitted: CalibrationResult, plugin: str) -> Iterator[str]:
+    notes = [*refit.notes]
     others = [f"{e.name} ({c.name})" for c in refitted.configurations for e in c.others]
     if others:
-        yield (
+        notes.append(
             "Only points are followed; lengths, volumes and forces are not: "
             f"{', '.join(others)}."
         )
-    if plugin == "Anisotropy":
-        yield (
+    if of_plugin:
+        notes.append(
             "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
             "and its C13 is not that of the textbook: the values make up for both, and "
             "are no material constants."
         )
+    tets = model.mesh.tets
+    write_scene(folder, scene, tets, text=refit.lines, notes=notes, force=force)
+    lines = *refit.lines, *([""] if notes else []), *notes
+    return SofaExport(scene["elasticity"]["component"], refitted, lines)
