@@ -4,6 +4,7 @@ import glob
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -234,54 +235,43 @@ def _starts(
     frame of target 0 that fits one photograph is tried on all of them.
     """
     photos = [seen.photo == i for i in range(int(seen.photo.max()) + 1)]
-    planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
+    planar = lambda rows: _fits(seen.points[rows], seen.pixels[rows], camera)
     bases = [planar(rows & (seen.target == 0)) for rows in photos]
     placed: list[tuple[Placement, ...]] = [()]
     if seen.target.any():
         placed = [
             (base.inverse @ moved,)
-            for rows, poses in zip(photos, bases, strict=True)
-            for base in poses
-            for moved in planar(rows & (seen.target == 1))
+            for rows, fits in zip(photos, bases, strict=True)
+            for _, base in fits
+            for _, moved in planar(rows & (seen.target == 1))
         ]
     for others in placed:
-        points = seen.in_base(others)
-        fits = [
-            _best_pose(points[rows], seen.pixels[rows], camera, starts)
-            for rows, starts in zip(photos, bases, strict=True)
-        ]
-        poses, errors = zip(*fits, strict=True)
-        yield np.sqrt(errors), (camera, poses, others)
+        points, best = seen.in_base(others), []
+        for rows, fits in zip(photos, bases, strict=True):
+            here = points[rows], seen.pixels[rows], camera
+            refined = [_fits(*here, start=base)[0] for _, base in fits]
+            best.append(min(refined, key=lambda fit: fit[0]))
+        errors, poses = zip(*best, strict=True)
+        yield np.array(errors), (camera, poses, others)
 
 
-def _planar_poses(
+def _fits(
     points: Float[HostArray, "n 3"],
     pixels: Float[HostArray, "n 2"],
     camera: CameraModel,
-) -> list[Placement]:
-    """Return the two poses of a planar target, by Collins and Bartoli (IJCV 2014)."""
+    start: Placement | None = None,
+) -> list[tuple[float, Placement]]:
+    """Return errors, rms of coordinates [px], and poses of some points.
+
+    Without a start both poses of a planar target, by Collins and Bartoli (IJCV 2014).
+    """
     cv2 = sheet.opencv()
-    _, turns, shifts, _ = cv2.solvePnPGeneric(
-        points, pixels, *lens(camera.values), flags=cv2.SOLVEPNP_IPPE
-    )
+    options: dict[str, Any] = {"flags": cv2.SOLVEPNP_IPPE}
+    if start is not None:  # which OpenCV overwrites
+        turn, shift = cv2.Rodrigues(start.R)[0], start.p.copy()
+        options = {"useExtrinsicGuess": True, "rvec": turn, "tvec": shift}
+    _, *fits = cv2.solvePnPGeneric(points, pixels, *lens(camera.values), **options)
     return [
-        Placement(cv2.Rodrigues(r)[0], np.ravel(p))
-        for r, p in zip(turns, shifts, strict=True)
+        (float(error[0]), Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)))
+        for turn, shift, error in zip(*fits, strict=True)
     ]
-
-
-def _best_pose(
-    points: Float[HostArray, "n 3"],
-    pixels: Float[HostArray, "n 2"],
-    camera: CameraModel,
-    starts: Sequence[Placement],
-) -> tuple[Placement, float]:
-    """Fit the pose of some points, and return its mean square error [px2]."""
-    cv2, of_camera, fits = sheet.opencv(), lens(camera.values), []
-    for start in starts:
-        turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
-        turn, shift = cv2.solvePnPRefineLM(points, pixels, *of_camera, turn, shift)
-        places, _ = cv2.projectPoints(points, turn, shift, *of_camera)
-        error = float(np.mean(np.square(places.reshape(-1, 2) - pixels)))
-        fits.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
-    return min(fits, key=lambda pair: pair[1])
