@@ -168,19 +168,15 @@ def tag_pages(size: float, *, count: int, first: int, paper: str) -> list["Figur
 
 def board_page(paper: str) -> "Figure":
     """Draw the board, by which cameras are calibrated."""
-    width, height = PAPERS[paper]
     figure, axes = _page(
         paper,
         "Board for the camera: glue it on something flat, and take ten photographs "
         "that it fills, from all sides.",
     )
-    pitch = BOARD_TAG + BOARD_GAP
-    columns, rows = BOARD_SHAPE
-    left = 0.5 * (width - pitch * (columns - 1))
-    top = 0.5 * (height + pitch * (rows - 1))
-    for number in BOARD_IDS:
-        row, column = divmod(number - BOARD_IDS[0], columns)
-        _draw_tag(axes, number, (left + pitch * column, top - pitch * row), BOARD_TAG)
+    middles = np.array([board_corners(n).mean(axis=0)[:2] for n in BOARD_IDS])
+    middles += 0.5 * np.array(PAPERS[paper]) - middles.mean(axis=0)
+    for number, middle in zip(BOARD_IDS, middles.tolist(), strict=True):
+        _draw_tag(axes, number, middle, BOARD_TAG)
     return figure
 
 
