@@ -148,11 +148,14 @@ def _add_body(body):
         position="@loader.position",
         tetrahedra="@loader.tetrahedra",
     )
+    x, moved = np.array(ROBOT["positions"]), CONFIGURATION["moved"]
+    if moved["indices"]:  # by a support, where they start
+        x[moved["indices"]] += np.array(moved["displacements"])
     state = body.addObject(
         "MechanicalObject",
         name="state",
         template="Vec3",
-        position=_positions(),
+        position=x.tolist(),
         rest_position="@loader.position",
     )
     body.addObject("DiagonalMass", name="mass", vertexMass=ROBOT["vertex mass"])
@@ -161,28 +164,15 @@ def _add_body(body):
     return state
 
 
-def _positions():
-    """Return positions to start from: at rest, but where a support moves a node."""
-    x, moved = np.array(ROBOT["positions"]), CONFIGURATION["moved"]
-    if moved["indices"]:
-        x[moved["indices"]] += np.array(moved["displacements"])
-    return x.tolist()
-
-
 def _add_supports(body):
     """Add what holds the body: clamps, sliding supports and elastic ones."""
     for k, held in enumerate(CONFIGURATION["held"]):
+        where = {"name": f"held{k}", "indices": held["indices"]}
         if all(held["directions"]):
-            body.addObject(
-                "FixedProjectiveConstraint", name=f"clamp{k}", indices=held["indices"]
-            )
+            body.addObject("FixedProjectiveConstraint", **where)
         else:
-            body.addObject(
-                "PartialFixedProjectiveConstraint",
-                name=f"slide{k}",
-                indices=held["indices"],
-                fixedDirections=held["directions"],
-            )
+            where["fixedDirections"] = held["directions"]
+            body.addObject("PartialFixedProjectiveConstraint", **where)
     for k, springs in enumerate(CONFIGURATION["springs"]):
         body.addObject(
             "RestShapeSpringsForceField",
