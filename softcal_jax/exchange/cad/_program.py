@@ -7,7 +7,6 @@ and made, or why nothing is made, are two pickled dictionaries; see `_mesh`.
 
 import pickle
 import sys
-from itertools import pairwise
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -132,16 +131,14 @@ def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
     ]
     triangles = [nodes_of(_TRIANGLE, tag).astype(int).reshape(-1, 3) for tag in outer]
     used, tets = np.unique(tets, return_inverse=True)
-    index = np.full(int(tags.max()) + 1, -1)
-    index[used] = np.arange(len(used))
-    places = np.empty((len(index), 3))
+    places = np.empty((int(tags.max()) + 1, 3))
     places[tags.astype(int)] = coordinates.reshape(-1, 3)
-    ends = np.cumsum([0, *(len(nodes) // 4 for nodes in by_solid)])
+    sizes = [len(nodes) // 4 for nodes in by_solid]
     return {
         "points": places[used],
         "tets": tets.reshape(-1, 4),
-        "faces": [index[corners] for corners in triangles],
-        "solids": [np.arange(*ab) for ab in pairwise(ends)],
+        "faces": [np.searchsorted(used, corners) for corners in triangles],
+        "solids": np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1]),
         "volume": volume,
     }
 

@@ -79,29 +79,21 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     wrong = kept * outer
     around = inside & (depth[None] == depth[:, None] - 1)
     alike = np.any(around & (wrong[:, None] != wrong[None]), axis=1) & (depth % 2 == 1)
-    n_turned = int(np.sum(turned & ~alike[part]))
-    notes = _notes(surface, n_turned, np.flatnonzero(alike), part)
-    return surface._replace(triangles=triangles), notes
-
-
-def _notes(
-    surface: Triangles, n_turned: int, alike: Int[HostArray, " _"], part: HostArray
-) -> list[str]:
     notes = []
-    if n_turned > 0:
+    if n_turned := int(np.sum(turned & ~alike[part])):
         notes.append(
-            f"{n_turned} of {len(surface.triangles)} triangles are turned the wrong way"
-            " in the file; they were turned over."
+            f"{n_turned} of {len(triangles)} triangles are turned the wrong way in the "
+            "file; they were turned over."
         )
-    for k in alike:
-        middle = surface.corners[part == k].mean(axis=(0, 1))
+    for k in np.flatnonzero(alike):
+        middle = corners[part == k].mean(axis=(0, 1))
         notes.append(
             f"the closed surface around ({', '.join(f'{x:.4g}' for x in middle)}), in "
             "the unit of the file, lies within another one and is turned as that is. It"
             " is taken for the wall of a cavity: if it is one, turn its triangles; if "
             "the body is solid there, delete it."
         )
-    return notes
+    return surface._replace(triangles=triangles), notes
 
 
 def _alike(
