@@ -167,12 +167,12 @@ def _add_body(body):
 def _add_supports(body):
     """Add what holds the body: clamps, sliding supports and elastic ones."""
     for k, held in enumerate(CONFIGURATION["held"]):
-        where = {"name": f"held{k}", "indices": held["indices"]}
+        nodes = held["indices"]
         if all(held["directions"]):
-            body.addObject("FixedProjectiveConstraint", **where)
+            body.addObject("FixedProjectiveConstraint", name=f"clamp{k}", indices=nodes)
         else:
-            where["fixedDirections"] = held["directions"]
-            body.addObject("PartialFixedProjectiveConstraint", **where)
+            ways = {"indices": nodes, "fixedDirections": held["directions"]}
+            body.addObject("PartialFixedProjectiveConstraint", name=f"slide{k}", **ways)
     for k, springs in enumerate(CONFIGURATION["springs"]):
         body.addObject(
             "RestShapeSpringsForceField",
