@@ -51,7 +51,7 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
         left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
         show.note(f"camera frame to mesh frame, rms residuals: {', '.join(left)}")
     show.now("first equilibrium")
-    with cli.interruptible(args), cli.no_equilibrium("Nothing was written."):
+    with cli.no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
             progress=cli.step_lines(project, show),
@@ -73,8 +73,7 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     more = {"name": project.name, "traces": project.traces}
     more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_results, result, assessment=assessment, **more)
-    with cli.interruptible(args):
-        cli.write_results(write, args, show, index="result.json")
+    cli.write_results(write, args, show, index="result.json")
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged: do not use the values"

@@ -101,7 +101,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except cli.Stop as stop:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:
-        text, code = "interrupted; nothing was written.", cli.INTERRUPTED
+        stands, code = cli.checkpoint_stands(args), cli.INTERRUPTED
+        text = "interrupted; nothing was written."
+        if stands:
+            text = f"interrupted. {stands}"
     display.failure(text, code)
     errors = _display.PlainConsole(stderr=True)
     errors.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -241,18 +241,6 @@ def _elsewhere(write: Callable[..., Path], show: Display) -> str:
     return f"The results are in {second} instead: copy them before it is emptied."
 
 
-@contextmanager
-def interruptible(args: argparse.Namespace) -> Iterator[None]:
-    """End an interrupted calibration with how to go on from its checkpoint."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        stands = checkpoint_stands(args)
-        if not stands:
-            raise
-        raise Stop(INTERRUPTED, f"interrupted. {stands}") from None
-
-
 def checkpoint_stands(args: argparse.Namespace) -> str:
     """Say how to go on from the checkpoint; empty if there is none."""
     path = getattr(args, "checkpoint", None)
