@@ -79,7 +79,6 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         calibration=loaded.path,
         options=options,
         notes=(*cli.with_care(loaded.outcome, loaded.doubts), *show.warnings),
-        **cli.pictures_with_a_bar(args, show),
     )
     cli.write_results(write, args, show, index="inverse.json")
     if not result.met:

@@ -71,7 +71,6 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     if assessment.contradicted and not (args.quick or result.interrupted):
         result = _with_mistakes(result, show)
     more = {"name": project.name, "traces": project.traces}
-    more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_results, result, assessment=assessment, **more)
     cli.write_results(write, args, show, index="result.json")
     steps = len(result.history) - 1
@@ -128,7 +127,6 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
         show.line(sentence)
     more = {"name": project.name, "traces": project.traces}
     more |= {"calibration": args.values and report.result_path(args.values)}
-    more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_simulation, result, made=_made(project), **more)
     cli.write_results(write, args, show, index="simulation.json")
     # Who has no equilibrium is named once the results are written.
@@ -160,9 +158,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         show.line(table.drawn())
     for sentence in (result.headline, *result.reasons, *result.worth):
         show.line(sentence)
-    more = {"name": project.name, "project": project}
-    more |= cli.pictures_with_a_bar(args, show)
-    write = partial(report.write_design, result, **more)
+    write = partial(report.write_design, result, name=project.name, project=project)
     cli.write_results(write, args, show, index="design.json")
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)

@@ -204,11 +204,19 @@ def write_results(
 ) -> None:
     """Write results that are printed already, and say where; as JSON, print `index`.
 
-    `write` is a function of `report` that takes a folder, `force` and `timing_s`. Where
-    the folder cannot be written any more, as on a full disk, the results go to a
-    temporary one, and the command ends with a message.
+    `write` is a function of `report` that takes a folder, `force`, `timing_s` and, for
+    a command with pictures, their format and a callback. Where the folder cannot be
+    written any more, as on a full disk, the results go to a temporary one, and the
+    command ends with a message.
     """
     show.now("writing results")
+    if "pictures" in args:
+        none = args.no_pictures or getattr(args, "quick", False)
+        drawing = partial(show.now, "drawing pictures", log=False)
+        progress = lambda done, total: drawing(count=(done, total))
+        write = partial(
+            write, pictures=None if none else args.pictures, progress=progress
+        )
     with bad_input():
         try:
             where = write(args.output, force=args.force, timing_s=show.laps)
@@ -221,14 +229,6 @@ def write_results(
     show.times()
     more = " --verbose prints its tables." * (not getattr(args, "verbose", True))
     show.line(f"Results in {where}: open {where / 'report.html'} in a browser.{more}")
-
-
-def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
-    """Return the format of the pictures, and a callback that shows their progress."""
-    drawing = partial(show.now, "drawing pictures", log=False)
-    progress = lambda done, total: drawing(count=(done, total))
-    none = args.no_pictures or getattr(args, "quick", False)
-    return {"pictures": None if none else args.pictures, "progress": progress}
 
 
 def _elsewhere(write: Callable[..., Path], show: Display) -> str:
