@@ -1,20 +1,16 @@
 """Kinds of typed values, like "200 kPa" and "(0, 0, -1) N", and how each is parsed."""
 
 import contextlib
-import functools
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, Strict
 
 from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import shortened
 from softcal_jax._units import is_number
-
-if TYPE_CHECKING:
-    import pint
 
 
 class Dimension(NamedTuple):
@@ -88,13 +84,6 @@ _SCALAR = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
 
 
-@functools.cache
-def _registry() -> "pint.UnitRegistry":
-    import pint
-
-    return pint.UnitRegistry()
-
-
 def _spelt(unit: str) -> str:
     """Spell a unit as pint reads it: people write "m3" for "m^3"."""
     return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
@@ -113,7 +102,7 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         raise ValueError(misfit)
     import pint
 
-    registry = _registry()
+    registry = pint.get_application_registry()
     try:
         one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
     except pint.UndefinedUnitError as error:

@@ -2,6 +2,7 @@
 
 import math
 
+import pint
 import pytest
 from wording import saying
 
@@ -142,7 +143,7 @@ def test_bad_vector(value, message):
 
 def test_common_units_are_those_of_pint():
     """The table that spares pint's definitions holds what these would give."""
-    registry = _quantities._registry()
+    registry = pint.get_application_registry()
     for si, units in _quantities._COMMON.items():
         for unit, factor in units.items():
             exact = registry.Quantity(1.0, registry.parse_units(unit)).to(si).magnitude
