@@ -21,11 +21,7 @@ from softcal_jax.configurations import (
     ConfigurationLanes,
 )
 from softcal_jax.elements import TET_EDGES
-from softcal_jax.equilibrium import (
-    InputRows,
-    Linearisation,
-    Model,
-)
+from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (
     OFFSET,
     QUANTITIES,
@@ -239,9 +235,8 @@ def _of_clamps(setting: Setting) -> Unknown:
 def _of_mesh(setting: Setting) -> Unknown:
     """Return the error of the mesh; a mesh of which no tet deforms has none."""
     model, std = setting.model, setting.uncertain.mesh
-    n, name = len(setting.configurations), "refinement"
-    if model.mesh.order == 1:
-        name = "locking"
+    n = len(setting.configurations)
+    name = "locking" if model.mesh.order == 1 else "refinement"
     scope = _where(("",) * n, np.full(n, std > 0.0 and np.any(model.active)))
     error = MESH, name, None, std, "considered", scope
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
