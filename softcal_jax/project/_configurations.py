@@ -32,9 +32,7 @@ class SupportTable(Maker):
 
 class LoadTable(Maker):
     by_name = ("name",)
-    name: str = Field(
-        UNNAMED_LOADS, min_length=1, description="name, for `load_factor` in [[setup]]"
-    )
+    name: str = Field(UNNAMED_LOADS, min_length=1)  # for `load_factor` in [[setup]]
 
 
 TotalForce = Annotated[typed.Force, Field(description='total force: "(0, 0, -1) N"')]
@@ -100,9 +98,7 @@ class ConfigurationTable(CandidateTable):
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
     measured: MeasuredTable | None = None
-    goal: dict[str, Any] | None = Field(
-        default=None, description='goals by name: { tip = "(100, -, 12) mm" }'
-    )
+    goal: dict[str, Any] | None = None
 
     @field_validator("measured", mode="before")
     @classmethod

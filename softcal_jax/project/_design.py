@@ -42,29 +42,23 @@ FREE = "-"
 class DesignTable(Table):
     """What may be designed beside [[parameters]], and how it is printed.
 
-    Without a foam the moduli are free within their bounds. A change between
+    Without a foam the moduli are free within their bounds; a `table` has those of your
+    foam. `robust` asks for the least error as printed. The largest stretch is a length
+    over that at rest, the largest stress that of von Mises. A change between
     neighbouring control points of `modulus_change` or `angle_change` costs as much as a
     goal that is a tolerance off.
     """
 
     foam: Infill | Literal["none"] = "none"
-    table: str | None = Field(
-        default=None, description='the moduli of your foam: "foam.csv"'
-    )
+    table: str | None = None
     solid_modulus: typed.Modulus = TPU
     modulus_error: Share = Printing().moduli
     angle_error: typed.Angle = Printing().angle
-    robust: typed.Flag = Field(
-        default=False, description="least error as printed instead of as ordered"
-    )
+    robust: typed.Flag = False
     modulus_change: Share | None = None
     angle_change: typed.Angle | None = None
-    largest_stretch: typed.Number | None = Field(
-        default=None, description="length over length at rest, anywhere in the body"
-    )
-    largest_stress: typed.Modulus | None = Field(
-        default=None, description="von Mises stress anywhere in the body"
-    )
+    largest_stretch: typed.Number | None = None
+    largest_stress: typed.Modulus | None = None
     limits: dict[str, str] = Field(default_factory=dict)
 
 
