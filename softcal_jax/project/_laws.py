@@ -39,20 +39,15 @@ _FRAME = "directions"  # key of the formula for the directions of fibres
 
 
 class Constant(NamedTuple):
-    """A constant of a material, as its law declares it: SI unit, words, example.
+    """A constant of a material, as its law declares it.
 
     Bounds of a parameter lie `within` an open interval; the constant itself may be 0
     too if it `may_vanish`.
     """
 
     unit: str
-    words: str
     within: tuple[float, float]
     may_vanish: bool
-
-    @property
-    def is_angle(self) -> bool:
-        return self.unit == "rad"
 
     @property
     def scale(self) -> Literal["log", "linear"]:

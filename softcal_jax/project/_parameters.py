@@ -151,8 +151,8 @@ class ParameterTable(Table):
             assert isinstance(self.lower, float)  # a table needs control points
             assert isinstance(self.upper, float)
             # An axis at -90 degrees is the same as at +90.
-            half_turn = constant.is_angle and np.isclose(self.upper - self.lower, np.pi)
-            span["periodic"] = bool(half_turn)
+            half_turn = np.isclose(self.upper - self.lower, np.pi)
+            span["periodic"] = constant.unit == "rad" and bool(half_turn)
             return Parameter(self.label, self.field, **span, **common)
         known_name("set", self.control_points, sets, "[control_points]")
         points = sets[self.control_points].build()
@@ -160,7 +160,7 @@ class ParameterTable(Table):
         for key, value in span.items():
             span[key] = _each(key, value, points.names, free, nominal)
         # +90 and -90 degrees are the same axis, so their mean is not 0.
-        usual = "director" if constant.is_angle else "linear"
+        usual = "director" if constant.unit == "rad" else "linear"
         return ControlPointParameters(
             self.field,
             points,
