@@ -86,10 +86,11 @@ class EffectorTable(Table):
         self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
         """Return the effector with its measured value; paths start from `folder`."""
-        dimension = dimension_of(effector.rows(model.mesh, model.mechanism)[0].unit)
+        row = effector.rows(model.mesh, model.mechanism)[0]
+        dimension = dimension_of(row.unit)
         if isinstance(value, MotionSource):
             raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')
-        if effector.rows(model.mesh, model.mechanism)[0].n_values == 1:
+        if row.n_values == 1:
             return replace(effector, measured=parse_scalar(value, dimension))
         return replace(effector, measured=np.array(parse_vector(value, dimension)))
 

@@ -97,10 +97,6 @@ class BodyStateTable(MotionTable):
     state: StateName = "held"
     start: MotionTable = MotionTable()
 
-    @property
-    def built(self) -> BodyState:
-        return BodyState(self.state, self.pose, self.start.pose)
-
 
 State = TableOr[BodyStateTable, StateName]
 
@@ -112,7 +108,9 @@ def build_states(
     for body, state in table.items():
         with under(body):
             known_name("rigid body", body, mechanism.bodies.names, "[bodies]")
-            states[body] = state if isinstance(state, str) else state.built
+            states[body] = state
+            if isinstance(state, BodyStateTable):
+                states[body] = BodyState(state.state, state.pose, state.start.pose)
     return states
 
 
