@@ -293,9 +293,7 @@ def transfer(args: argparse.Namespace, show: cli.Display) -> None:
 
     project = cli.load(args.project, show)
     with cli.bad_input():
-        project.check_calibration()
-        loaded = report.load_result(args.result)
-        of_a = loaded.estimate
+        of_a = report.load_result(args.result).estimate
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
     with cli.no_equilibrium("There is nothing to compare."):

@@ -133,10 +133,9 @@ def _built(
     )
     with under("design"):
         asked = build_design(path.parent, table, goals)
-    of_project = {"noise", "starts", "seed", "precision"}
+    of_project = {"noise", "starts", "seed", "precision", "intervals"}
     with under("settings"):
-        others = of_project | {"intervals"}
-        given = table.settings.model_dump(exclude=others, exclude_none=True)
+        given = table.settings.model_dump(exclude=of_project, exclude_none=True)
         settings = CalibrationSettings(**given)
     with under("newton"):
         given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
@@ -151,7 +150,6 @@ def _built(
         candidates=tuple(c for c, _ in candidates),
         asked=asked,
         **table.settings.model_dump(include=of_project),
-        intervals=table.settings.intervals or None,
         uncertain=Uncertain(**table.uncertain.model_dump()),
         settings=settings,
         newton=newton,

@@ -148,10 +148,8 @@ class ParameterTable(Table):
             "upper": self.upper,
         }
         if self.control_points is None:
-            assert isinstance(self.lower, float)  # a table needs control points
-            assert isinstance(self.upper, float)
             # An axis at -90 degrees is the same as at +90.
-            half_turn = np.isclose(self.upper - self.lower, np.pi)
+            half_turn = np.isclose(span["upper"] - span["lower"], np.pi)
             span["periodic"] = constant.unit == "rad" and bool(half_turn)
             return Parameter(self.label, self.field, **span, **common)
         known_name("set", self.control_points, sets, "[control_points]")

@@ -60,15 +60,16 @@ class SettingsTable(Table):
     damping: Number | None = None
     starts: Integer | None = None
     seed: Annotated[Integer, Field(ge=0)] = 0
-    intervals: Number = LEVEL
+    intervals: Number | None = LEVEL
     precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
     adapt: Flag | None = None
 
     @field_validator("intervals")
     @classmethod
-    def _check_intervals(cls, value: float) -> float:
-        if value != 0.0:
-            check_level(value)
+    def _check_intervals(cls, value: float) -> float | None:
+        if value == 0.0:
+            return None
+        check_level(value)
         return value
 
     @field_validator("starts")
