@@ -120,27 +120,21 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
 
 def _check_order(space: ParameterSpace) -> None:
     """Raise unless the start keeps the order and the bounds leave room for it."""
-    A, b = map(np.asarray, space.order_rows())
-    if not len(A) and space.chart is None:
-        return
+    plain = space.in_plain_steps()
+    A, b = map(np.asarray, plain.order_rows())
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
     best = np.minimum(A * low, A * high).sum(axis=1) - b
-    given = zip(space.order_names(), excess, best, strict=True)
-    pairs = [(*pair, "order") for pair in given]
-    if space.chart is not None:
-        names, z = space.names, np.asarray(space.start())
-        for s, l in zip(space.chart.small, space.chart.large, strict=True):
-            # The two moduli must be able to differ.
-            least = np.inf if low[s] >= high[l] else 0.0
-            pairs.append(((names[s], names[l]), z[s] - z[l], least, "axes"))
-    for (small, large), over, least, rule in pairs:
-        if least > 1e-12:
+    ordered = len(space.order_names())
+    for i, (small, large) in enumerate(plain.order_names()):
+        # The two moduli of an axis must be able to differ.
+        rule, most = ("order", 1e-12) if i < ordered else ("axes", -1e-12)
+        if best[i] > most:
             raise ValueError(
                 f"the bounds leave no room for {small} <= {large}: lower the bounds of "
                 "the first, or raise those of the second."
             )
-        if over > 1e-12:
+        if excess[i] > 1e-12:
             raise ValueError(
                 f"the start has {small} above {large}, but {rule} names the smaller "
                 "first: swap the two, or start with equal or ordered values."
