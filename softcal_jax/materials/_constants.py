@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -158,55 +159,26 @@ def check_constants(module: eqx.Module) -> None:
         raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")
 
 
-def _together(**fields: Constant) -> list[np.ndarray] | None:
-    """Broadcast values on the host to one list each; None if one is traced."""
-    columns = {name: _concrete(value) for name, value in fields.items()}
-    known = [values for values in columns.values() if values is not None]
-    if len(known) < len(columns):
-        return None
+def check_ratio(name: str, limits: Callable[..., tuple], **constants: Constant) -> None:
+    """Raise ValueError unless a ratio lies between limits that the others give."""
+    concrete = {key: _concrete(value) for key, value in constants.items()}
+    known = {key: values for key, values in concrete.items() if values is not None}
+    if len(known) < len(concrete):
+        return
     try:
-        return list(np.broadcast_arrays(*known))
+        others = dict(zip(known, np.broadcast_arrays(*known.values()), strict=True))
     except ValueError as error:
-        counts = ", ".join(f"{k} {len(v)}" for k, v in zip(columns, known, strict=True))
+        counts = ", ".join(f"{key} {len(values)}" for key, values in known.items())
         raise ValueError(
             f"Fields of a law must hold one value or one per tet, got {counts} values."
         ) from error
-
-
-def check_fibre_ratio(
-    E_t: Constant, E_l: Constant, nu_t: Constant, nu_tl: Constant
-) -> None:
-    """Raise ValueError unless nu_tl^2 < (1 - nu_t) E_t / (2 E_l) everywhere."""
-    values = _together(E_t=E_t, E_l=E_l, nu_t=nu_t, nu_tl=nu_tl)
-    if values is not None:
-        across, along, plane, ratio = values
-        limit = np.sqrt((1.0 - plane) * across / (2.0 * along))
-        others = {"E_t": across, "E_l": along, "nu_t": plane}
-        _check_between("nu_tl", ratio, (-limit, limit), others)
-
-
-def check_shared_ratio(E_t: Constant, E_l: Constant, nu: Constant) -> None:
-    """Raise ValueError unless nu_t = nu_tl = nu gives a stable law everywhere."""
-    values = _together(E_t=E_t, E_l=E_l, nu=nu)
-    if values is not None:
-        across, along, ratio = values
-        n = along / across
-        # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
-        low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
-        high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
-        _check_between("nu", ratio, (low, high), {"E_t": across, "E_l": along})
-
-
-def _check_between(
-    name: str, ratio: np.ndarray, limits: tuple, others: dict[str, np.ndarray]
-) -> None:
-    bad = np.flatnonzero(~((ratio > limits[0]) & (ratio < limits[1])))
-    if bad.size:
-        i = bad[0]
-        unit = lambda name: "Pa" if name.startswith("E") else ""
-        pairs = [(k, readable(float(v[i]), unit(k))) for k, v in others.items()]
+    ratio = others.pop(name)
+    low, high = limits(**others)
+    for i in np.flatnonzero(~((ratio > low) & (ratio < high))):
+        unit = lambda key: "Pa" if key.startswith("E") else ""
+        pairs = [(key, readable(float(v[i]), unit(key))) for key, v in others.items()]
         raise ValueError(
-            f"{name} must lie in ({limits[0][i]:.4g}, {limits[1][i]:.4g}) for "
+            f"{name} must lie in ({low[i]:.4g}, {high[i]:.4g}) for "
             f"{', '.join(map(' = '.join, pairs))}, or the stiffness is not positive "
             f"definite; got {ratio[i]:g}."
         )

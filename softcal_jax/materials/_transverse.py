@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul
@@ -19,8 +20,7 @@ from softcal_jax.materials._constants import (
     Constant,
     as_field,
     check_constants,
-    check_fibre_ratio,
-    check_shared_ratio,
+    check_ratio,
     constant,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, TabulatedElasticity
@@ -121,7 +121,13 @@ class TransverseIsotropic(AbstractElasticity):
 
     def __check_init__(self):
         check_constants(self)
-        check_fibre_ratio(self.E_t, self.E_l, self.nu_t, self.nu_tl)
+
+        def limits(E_t, E_l, nu_t):
+            limit = np.sqrt((1.0 - nu_t) * E_t / (2.0 * E_l))
+            return -limit, limit
+
+        constants = {"E_t": self.E_t, "E_l": self.E_l, "nu_t": self.nu_t}
+        check_ratio("nu_tl", limits, **constants, nu_tl=self.nu_tl)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         C = plane_stiffness(self.E_t, self.E_l, self.nu_t, self.nu_tl)
@@ -276,7 +282,13 @@ class TransverseHyperelastic(AbstractLaw):
 
     def __check_init__(self):
         check_constants(self)
-        check_shared_ratio(self.E_t, self.E_l, self.nu)
+
+        def limits(E_t, E_l):  # the roots of 1 - nu - 2 n nu^2, and |nu_t| < 1
+            n = E_l / E_t
+            root = np.sqrt(1.0 + 8.0 * n)
+            return np.maximum(-1.0, -(1.0 + root) / (4.0 * n)), 2.0 / (1.0 + root)
+
+        check_ratio("nu", limits, E_t=self.E_t, E_l=self.E_l, nu=self.nu)
 
     def _constants(self) -> tuple[PlaneStiffness, Float[Array, ""]]:
         C = plane_stiffness(self.E_t, self.E_l, self.nu, self.nu)
