@@ -98,23 +98,32 @@ class AbstractEffector(Module):
             ValueError: If it does not fit the model, or its value is not finite.
         """
 
+    @property
+    def n_values(self) -> int:
+        """Number of values in a row."""
+        return 3
+
     def measured_as(self, values: Readings, mechanism: Mechanism) -> "AbstractEffector":
         """Return the effector with other measured values, one per row and from rest."""
-        return replace(self, measured=values[0])  # pyright: ignore
+        value = values[0, : self.n_values]
+        measured = value if value.size > 1 else float(value[0])
+        return replace(self, measured=measured)  # pyright: ignore
+
+    def _row(
+        self, quantity: Quantity, unit: str, **carriers: Any
+    ) -> tuple[EffectorRow, ...]:
+        """Make the row of an effector that has only one, with its measured value."""
+        one: Any = self
+        row = EffectorRow(self.name, quantity, unit, n_values=self.n_values, **carriers)
+        return row.with_value(one.measured, one.std)
 
 
 class AbstractScalar(AbstractEffector):
     """An effector of one coordinate: a length, a volume, an angle, a force."""
 
-    def measured_as(self, values: Readings, mechanism: Mechanism) -> "AbstractScalar":
-        return replace(self, measured=float(values[0, 0]))  # pyright: ignore
-
-    def _row(
-        self, quantity: Quantity, unit: str, function: Callable[..., Any]
-    ) -> tuple[EffectorRow, ...]:
-        scalar: Any = self
-        row = EffectorRow(self.name, quantity, unit, function=function, n_values=1)
-        return row.with_value(scalar.measured, scalar.std)
+    @property
+    def n_values(self) -> int:
+        return 1
 
 
 def inverse_std(

@@ -131,8 +131,7 @@ class Centroid(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes, weights = nodes.astype(np.int32), np.full(nodes.size, 1.0 / nodes.size)
-        row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
-        return row.with_value(self.measured, self.std)
+        return self._row("point", "m", nodes=nodes, weights=weights)
 
 
 class SupportReaction(AbstractEffector):
@@ -156,8 +155,7 @@ class SupportReaction(AbstractEffector):
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
         reading = _Reading(_reaction, tuple(nodes.tolist()))
-        row = EffectorRow(self.name, "reaction", "N", function=reading)
-        return row.with_value(self.measured, self.std)
+        return self._row("reaction", "N", function=reading)
 
 
 class ContactForce(AbstractEffector):
@@ -181,21 +179,17 @@ class ContactForce(AbstractEffector):
     std: float = Unstated(1e-2)
     quantity: ClassVar[tuple[str, str]] = "force", "N"
 
+    @property
+    def n_values(self) -> int:
+        return 3 if self.axis is None else 1
+
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         obstacle = _index_of(self.body, mechanism.contacts.names, "obstacle", self.name)
         axis, (what, unit) = self.axis, self.quantity
         if axis is not None:
             axis = tuple(unit_vector(f"axis of effector {self.name!r}", axis).tolist())
         reading = _Reading(_contact, (what, obstacle, axis))
-        n_values = 3 if axis is None else 1
-        row = EffectorRow(
-            self.name, "reaction", unit, function=reading, n_values=n_values
-        )
-        return row.with_value(self.measured, self.std)
-
-    def measured_as(self, values: Readings, mechanism: Mechanism) -> "ContactForce":
-        value = values[0] if self.axis is None else float(values[0, 0])
-        return replace(self, measured=value)
+        return self._row("reaction", unit, function=reading)
 
 
 class ContactMoment(ContactForce):
@@ -232,7 +226,7 @@ class BodyAngle(AbstractScalar):
         other = _index_of(self.other, names, "rigid body", self.name)
         axis = unit_vector(f"axis of effector {self.name!r}", self.axis)
         reading = _Reading(_angle, (body, other, tuple(axis.tolist())))
-        return self._row("scalar", "rad", reading)
+        return self._row("scalar", "rad", function=reading)
 
 
 class ActuatorDisplacement(AbstractScalar):
@@ -257,7 +251,7 @@ class ActuatorDisplacement(AbstractScalar):
                 'displacement; use ActuatorForce (type = "actuator-force" in a file).'
             )
         reading = _Reading(_of_actuator, ("actuator_displacements", a))
-        return self._row("scalar", kind.displacement_unit, reading)
+        return self._row("scalar", kind.displacement_unit, function=reading)
 
 
 class ActuatorForce(AbstractScalar):
@@ -271,7 +265,8 @@ class ActuatorForce(AbstractScalar):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         unit = mechanism.actuators.kinds[a].force_unit
-        return self._row("force", unit, _Reading(_of_actuator, ("actuator_forces", a)))
+        reading = _Reading(_of_actuator, ("actuator_forces", a))
+        return self._row("force", unit, function=reading)
 
 
 class Observation(AbstractEffector):
@@ -326,13 +321,7 @@ class Observation(AbstractEffector):
                 f"std of effector {self.name!r} has {np.size(self.std)} values, its "
                 f"measured value {n}: give one for all, or one for each."
             )
-        reading: dict[str, Any] = {"function": self.function, "n_values": n}
-        row = EffectorRow(self.name, "observation", self.unit, **reading)
-        return row.with_value(self.measured, self.std)
-
-    def measured_as(self, values: Readings, mechanism: Mechanism) -> "Observation":
-        value = values[0, : self.n_values]
-        return replace(self, measured=value if value.size > 1 else float(value[0]))
+        return self._row("observation", self.unit, function=self.function)
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:

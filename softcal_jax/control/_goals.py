@@ -14,12 +14,10 @@ from softcal_jax.actuators import Kind
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import (
     AbstractEffector,
-    AbstractScalar,
     BodyFrame,
     Configuration,
     ImposedDisplacement,
     Mechanism,
-    Observation,
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
@@ -70,8 +68,7 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
                 f"the goal of {what} is {goal!r}, expected a Pose, of 6 coordinates."
             )
         return replace(effector, measured=goal)
-    n = 1 if isinstance(effector, AbstractScalar) else 3
-    n = effector.n_values if isinstance(effector, Observation) else n
+    n = effector.n_values
     numbers = _numbers(what, goal, n)
     value = numbers if n > 1 else float(numbers[0])
     return replace(effector, measured=value)  # type: ignore[call-arg]
