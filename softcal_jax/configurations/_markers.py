@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
 from softcal_jax._names import check_unique, parse_axes, suggestion
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats, three_numbers
 from softcal_jax.configurations._csv_table import coordinates, read_table
@@ -102,23 +101,15 @@ def marker_rows(
     """Return markers as rows of effectors, with their measured values if given."""
     inverse_std = markers.inverse_std() * (measured is not None)
     values = np.full_like(inverse_std, np.nan) if measured is None else measured
-    both = zip(values, inverse_std, _carriers(mesh, markers), strict=True)
+    of_each = markers.names, values, inverse_std, _carriers(mesh, markers)
     return [
         EffectorRow(name, "point", "m", value, precision, *carriers)
-        for name, (value, precision, carriers) in zip(markers.names, both, strict=True)
+        for name, value, precision, carriers in zip(*of_each, strict=True)
     ]
 
 
-class _Carriers(NamedTuple):
-    """Nodes of an `EffectorRow`."""
-
-    nodes: Int[HostArray, " n"]
-    weights: Float[HostArray, " n"]
-    slopes: Float[HostArray, "n 3"]
-
-
-def _carriers(mesh: TetMesh, markers: Markers) -> list[_Carriers]:
-    """Find the nodes that carry each marker."""
+def _carriers(mesh: TetMesh, markers: Markers) -> list[tuple[HostArray, ...]]:
+    """Find nodes, weights and slopes of the `EffectorRow` of each marker."""
     places = locate(
         mesh,
         markers.positions,
@@ -126,8 +117,7 @@ def _carriers(mesh: TetMesh, markers: Markers) -> list[_Carriers]:
         names=[f"marker {name!r}" for name in markers.names],
     )
     if markers.base_radius == 0.0:
-        each = zip(places.nodes, places.weights, places.slopes, strict=True)
-        return [_Carriers(*carriers) for carriers in each]
+        return list(zip(places.nodes, places.weights, places.slopes, strict=True))
     # The volume of each tet is shared evenly among its nodes: integrals of quadratic
     # shape functions would give corners a negative share.
     volume = np.zeros(mesh.n_nodes)
@@ -152,7 +142,7 @@ def _patch(mesh, volume, foot, position, name, *, radius):
         )
     fit = np.linalg.pinv(share[:, None] * A) * share
     weights = fit[0] + (position - centre) / radius @ fit[1:]
-    return _Carriers(nodes, weights, fit[1:].T / radius)
+    return nodes, weights, fit[1:].T / radius
 
 
 class Registration(Module):
