@@ -197,9 +197,7 @@ class Recording(Module):
         """Average the frames of a window that see a marker."""
         part = self.positions[inside]
         seen = np.all(np.isfinite(part), axis=2)
-        n = np.sum(seen, axis=0)
-        total = np.sum(np.where(seen[:, :, None], part, 0.0), axis=0)
-        mean = total / np.where(n > 0, n, np.nan)[:, None]
+        n, mean = np.sum(seen, axis=0), _means(part)(0, len(part))
         off = np.where(seen[:, :, None], part - mean, 0.0)
         squares = np.einsum("fmx,fmy->mxy", off, off)
         times = self.times[inside]

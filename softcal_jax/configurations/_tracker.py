@@ -243,7 +243,7 @@ def from_quaternion(
             f"the quaternion has the length {length:.6g}, not 1: write four digits or "
             "more, the scalar part first, and neither scale nor average quaternions."
         )
-    return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
 def _from_angles(
