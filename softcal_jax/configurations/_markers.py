@@ -108,7 +108,9 @@ def marker_rows(
     ]
 
 
-def _carriers(mesh: TetMesh, markers: Markers) -> list[tuple[HostArray, ...]]:
+def _carriers(
+    mesh: TetMesh, markers: Markers
+) -> list[tuple[HostArray, HostArray, HostArray]]:
     """Find nodes, weights and slopes of the `EffectorRow` of each marker."""
     places = locate(
         mesh,

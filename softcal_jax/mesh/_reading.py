@@ -84,11 +84,9 @@ def read_mesh(
         notes.append(f"it is {mesh.size:.3g} m across; is it in {length_unit!r}?")
     for note in notes:
         warnings.warn(f"{path}: {note}", MeshWarning, stacklevel=2)
-    if order == 2 and mesh.order == 1:
-        return to_quadratic(mesh)
-    if order == 1 and mesh.order == 2:
-        return to_linear(mesh)
-    return mesh
+    if order in (None, mesh.order):
+        return mesh
+    return to_quadratic(mesh) if order == 2 else to_linear(mesh)
 
 
 def mesh_files(path: str | os.PathLike[str]) -> tuple[Path, ...]:
