@@ -68,9 +68,8 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
                 f"the goal of {what} is {goal!r}, expected a Pose, of 6 coordinates."
             )
         return replace(effector, measured=goal)
-    n = effector.n_values
-    numbers = _numbers(what, goal, n)
-    value = numbers if n > 1 else float(numbers[0])
+    numbers = _numbers(what, goal, effector.n_values)
+    value = numbers if numbers.size > 1 else float(numbers[0])
     return replace(effector, measured=value)  # type: ignore[call-arg]
 
 

@@ -9,6 +9,7 @@ from softcal_jax.configurations import (
     BodyAngle,
     BodyFrame,
     Centroid,
+    ContactForce,
     ImposedDisplacement,
     Markers,
 )
@@ -27,6 +28,13 @@ EFFECTORS = [
 ]
 START = pose(effectors=EFFECTORS, top=1.0, motor=0.1)
 GOAL = {"tip": (0.1, 0.0, 0.0)}
+
+
+def test_a_force_along_one_axis_has_a_goal_of_one_number():
+    cell = ContactForce("cell", "probe", axis=(0, 0, 1))
+    force = {"cell": 1.5}
+    (aimed,) = with_goals(pose(effectors=[cell]), force).effectors
+    assert aimed.measured == 1.5
 
 
 @pytest.mark.parametrize(
