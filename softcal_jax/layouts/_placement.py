@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -57,21 +57,12 @@ them by a few percent, through the strain around the markers.
 """
 
 
+Places = Float[HostArray, "n n_axes"]
+"""Coordinates along the axes that count, over the diagonal of their box [-]."""
+
+
 class LayoutWarning(SoftcalWarning):
     """More control points were asked for than the data can tell apart."""
-
-
-class _Places(NamedTuple):
-    """Where control points may stand, from the middle outwards.
-
-    `along` holds the axes of x that count for distances, `size` is the diagonal of
-    their bounding box [m].
-    """
-
-    tets: Int[HostArray, " n"]
-    x: Float[HostArray, "n 3"]
-    along: Float[HostArray, "n n_axes"]
-    size: float
 
 
 def place_control_points(
@@ -80,8 +71,6 @@ def place_control_points(
     *,
     method: Literal["farthest", "sensitivity"] = "farthest",
     region: str | None = None,
-    power: float = 2.0,
-    nearest: int | None = None,
     axes: str = "xyz",
     model: Model | None = None,
     configurations: Configuration | Sequence[Configuration] = (),
@@ -104,8 +93,8 @@ def place_control_points(
     leave between n points. The result is local: it holds for the present fields.
 
     The result are "CP 1" to "CP n" in the order in which they were found, for the tet
-    group `region` or the whole body, with `power`, `nearest` and `axes` as in
-    `ControlPoints`; distance counts along the axes, like "x" for a bar.
+    group `region` or the whole body; distance counts along `axes`, like "x" for a bar,
+    as in `ControlPoints`.
 
     "sensitivity" needs the model on this mesh, configurations with markers, which need
     not be measured, and `fields`: the field that is calibrated; or several, each with
@@ -123,23 +112,27 @@ def place_control_points(
     check_known("method", ("farthest", "sensitivity"), method)
     if n < 1:
         raise ValueError(f"the number of control points must be at least 1, got {n}.")
-    # Built to check its options before anything is computed.
-    ControlPoints([(0.0, 0.0, 0.0)], power=power, axes=axes)
-    places = _places(mesh, region, axes, n)
+    tets, along = _places(mesh, region, axes, n)
     if method == "farthest":
-        chosen = farthest_points(places, n)
+        chosen = farthest_points(along, n)
         _check_room(len(chosen), n, f"along {axes}" if axes != "xyz" else "in space")
     else:
         sizes = _field_sizes(model, mesh, fields, configurations)
         assert model is not None  # checked with the fields
         G = tet_sensitivities(model, configurations, tuple(sizes), newton=newton)
-        blocks = np.stack([size * G[f] for f, size in sizes.items()], axis=2)
-        chosen = _well_seen(places, n, mesh, blocks)
-    return ControlPoints(places.x[chosen], power=power, nearest=nearest, axes=axes)
+        blocks = np.stack([size * G[f][:, tets] for f, size in sizes.items()], axis=2)
+        chosen = _well_seen(along, n, np.abs(volumes(mesh)[tets]), blocks)
+    return ControlPoints(_centroids(mesh, tets[chosen]), axes=axes)
 
 
-def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
-    """Sort the centroids of the region's tets, those near the middle first."""
+def _centroids(mesh: TetMesh, tets: Int[HostArray, " n"]) -> Float[HostArray, "n 3"]:
+    return mesh.points[mesh.tets[tets, :4]].mean(axis=1)
+
+
+def _places(
+    mesh: TetMesh, region: str | None, axes: str, n: int
+) -> tuple[Int[HostArray, " n"], Places]:
+    """Return the tets of the region from the middle outwards, and their places."""
     tets = np.arange(mesh.n_tets)
     if region is not None:
         tets = np.unique(np.asarray(mesh.tets_of(region)))
@@ -149,7 +142,7 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
             f"{n} control points were asked for, but {where} only {len(tets)} tets: a "
             "control point needs one of its own."
         )
-    x = mesh.points[mesh.tets[tets, :4]].mean(axis=1)
+    x = _centroids(mesh, tets)
     middle = np.average(x, axis=0, weights=np.abs(volumes(mesh)[tets]))
     away = np.linalg.norm(x - middle, axis=1)
     # Rounded, so that places that are alike by symmetry tie.
@@ -157,28 +150,27 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
     keys = np.round(np.column_stack([away, x]) / step)
     order = np.lexsort(keys.T[::-1])
     along = x[order][:, parse_axes(axes)]
-    size = float(np.linalg.norm(np.ptp(along, axis=0)))
-    return _Places(tets[order], x[order], along, max(size, 1e-12 * mesh.size))
+    size = max(float(np.linalg.norm(np.ptp(along, axis=0))), 1e-12 * mesh.size)
+    return tets[order], along / size
 
 
-def farthest_points(places: _Places, n: int) -> list[int]:
+def farthest_points(places: Places, n: int) -> list[int]:
     """Pick n places far from each other; fewer if no different place is left."""
     if n == 1:
         return [0]
     # Place 0 is the nearest to the middle.
-    gaps = _gaps(places, 0)
+    gaps = _gaps(places, places[0])
     chosen: list[int] = []
     while len(chosen) < n and gaps.max() > 0.0:
         chosen.append(int(np.argmax(gaps)))
-        new = _gaps(places, chosen[-1])
+        new = _gaps(places, places[chosen[-1]])
         gaps = new if len(chosen) == 1 else np.minimum(gaps, new)
     return chosen
 
 
-def _gaps(places: _Places, i: int) -> Float[HostArray, " n"]:
-    """Return distances from a place over the size, rounded so that equal ones tie."""
-    gaps = np.linalg.norm(places.along - places.along[i], axis=1)
-    return np.round(gaps / places.size, 9)
+def _gaps(places: Places, place: Float[HostArray, " n_axes"]) -> Float[HostArray, " n"]:
+    """Return distances from a place, rounded so that equal ones tie."""
+    return np.round(np.linalg.norm(places - place, axis=1), 9)
 
 
 def _check_room(available: int, n: int, what: str) -> None:
@@ -214,19 +206,17 @@ def _field_sizes(
 
 
 def _well_seen(
-    places: _Places,
+    places: Places,
     n: int,
-    mesh: TetMesh,
-    blocks: Float[HostArray, "n_e n_tets n_fields"],
+    shares: Float[HostArray, " n"],
+    blocks: Float[HostArray, "n_e n n_fields"],
 ) -> list[int]:
     """Pick places of n patches that the data see well and independently."""
-    shares = np.abs(volumes(mesh)[places.tets])
-    most = max(n, min(PATCHES_PER_POINT * n, len(places.tets) // TETS_PER_PATCH))
+    most = max(n, min(PATCHES_PER_POINT * n, len(places) // TETS_PER_PATCH))
     seeds, patches = _patches(places, shares, most)
     _check_room(len(seeds), n, "among the tets")
     density = np.stack(
-        [blocks[:, places.tets[p]].sum(axis=1) / shares[p].sum() for p in patches],
-        axis=1,
+        [blocks[:, p].sum(axis=1) / shares[p].sum() for p in patches], axis=1
     )
     norms = np.linalg.norm(density, axis=(0, 2))
     if not norms.max() > 0.0:
@@ -237,9 +227,7 @@ def _well_seen(
     seen = np.flatnonzero(norms > INDEPENDENT * norms.max())
     _check_room(len(seen), n, "that the markers see")
     kept = [seeds[i] for i in seen]
-    visible = _Places(
-        places.tets[kept], places.x[kept], places.along[kept], places.size
-    )
+    visible = places[kept]
     distance = 0.5 * _separation(visible, n)
     chosen, rank = pivoted(visible, density[:, seen] / norms.max(), n, distance)
     if rank < n:
@@ -254,7 +242,7 @@ def _well_seen(
 
 
 def _patches(
-    places: _Places, shares: Float[HostArray, " n"], most: int
+    places: Places, shares: Float[HostArray, " n"], most: int
 ) -> tuple[list[int], list[Int[HostArray, " _"]]]:
     """Form compact patches of places; return their middle places and their members.
 
@@ -264,33 +252,32 @@ def _patches(
     """
     seeds, patches = farthest_points(places, most), []
     for _ in range(ROUNDS):
-        owner = np.argmin(np.stack([_gaps(places, i) for i in seeds]), axis=0)
+        owner = np.argmin([_gaps(places, places[i]) for i in seeds], axis=0)
         patches = [np.flatnonzero(owner == patch) for patch in range(len(seeds))]
         seeds = []
         for patch in patches:
-            middle = np.average(places.along[patch], axis=0, weights=shares[patch])
-            away = np.linalg.norm(places.along[patch] - middle, axis=1) / places.size
-            seeds.append(int(patch[np.argmin(np.round(away, 9))]))
+            middle = np.average(places[patch], axis=0, weights=shares[patch])
+            seeds.append(int(patch[np.argmin(_gaps(places[patch], middle))]))
     return seeds, patches
 
 
-def _separation(places: _Places, n: int) -> float:
-    """Return the smallest distance between n points that are spread out [m].
+def _separation(places: Places, n: int) -> float:
+    """Return the smallest distance between n points that are spread out.
 
     At half of it, there is room for n points however badly the first ones are placed: a
     ball of that radius holds at most one of the points spread out.
     """
-    gaps = pdist(places.along[farthest_points(places, n)])
+    gaps = pdist(places[farthest_points(places, n)])
     return float(np.min(gaps, initial=np.inf)) if n > 1 else 0.0
 
 
 def pivoted(
-    places: _Places,
-    blocks: Float[HostArray, "n_e n_patches n_fields"],
+    places: Places,
+    blocks: Float[HostArray, "n_e n n_fields"],
     n: int,
     min_distance: float,
 ) -> tuple[list[int], int]:
-    """Pick blocks of columns by pivoted QR, with a distance between their patches [m].
+    """Pick blocks of columns by pivoted QR, with a distance between their patches.
 
     The largest block has norm one. Returns the chosen patches, and how many of them
     were independent; each further patch is the farthest from those before it.
@@ -313,9 +300,8 @@ def pivoted(
         U, singular, _ = np.linalg.svd(left[:, best], full_matrices=False)
         Q = U[:, singular > INDEPENDENT]
         left = left - np.einsum("eq,fq,fpk->epk", Q, Q, left, optimize=True)
-        new = np.linalg.norm(places.along - places.along[best], axis=1)
-        gaps = np.minimum(gaps, new)
-        free &= gaps >= max(min_distance, 1e-9 * places.size)
+        gaps = np.minimum(gaps, np.linalg.norm(places - places[best], axis=1))
+        free &= gaps >= max(min_distance, 1e-9)
     return chosen, rank
 
 

@@ -8,7 +8,7 @@ from wording import saying
 
 from softcal_jax.fields import ControlPoints
 from softcal_jax.layouts import LayoutWarning, place_control_points
-from softcal_jax.layouts._placement import _Places, _separation, pivoted
+from softcal_jax.layouts._placement import _separation, pivoted
 from softcal_jax.mesh import TetMesh
 
 CORNERS = 0.1 * np.array([[-1, -1, -1], [3, -1, -1], [-1, 3, -1], [-1, -1, 3]])
@@ -40,10 +40,8 @@ def test_farthest_by_hand(n, x):
 
 
 def test_options_reach_the_control_points():
-    points = place_control_points(
-        bar((4, 1, 1)).mesh, 3, power=3.0, nearest=2, axes="xz", region="tip"
-    )
-    assert (points.power, points.nearest, points.axes) == (3.0, 2, "xz")
+    points = place_control_points(bar((4, 1, 1)).mesh, 3, axes="xz", region="tip")
+    assert points.axes == "xz"
     assert np.all(points.positions[:, 0] > 0.05)
 
 
@@ -111,8 +109,7 @@ def test_sizes_weigh_the_fields():
 
 
 def places(x):
-    x = np.asarray(x, float)[:, None]
-    return _Places(np.arange(len(x)), x * np.ones(3), x, float(np.ptp(x)))
+    return np.asarray(x, float)[:, None] / np.ptp(x)
 
 
 def test_without_a_distance_it_is_scipys_pivoted_qr():
@@ -150,9 +147,7 @@ def test_the_default_distance_leaves_room(seed):
         (13, {}, "13 ... mesh ... 12 tets"),
         (2, {"method": "farthst"}, "'farthst' ... mean 'farthest'"),
         (2, {"region": "tipp"}, "'tipp' ... mean 'tip'"),
-        (2, {"power": 0.0}, "power ... positive ... 0"),
         (2, {"axes": "w"}, "axes ... 'w'"),
-        (2, {"nearest": 3}, "nearest ... 2, got 3"),
         (9, {"axes": "x"}, "9 ... 6 different places ... along x"),
         (2, {"method": "sensitivity"}, "model, configurations and fields"),
     ],
