@@ -164,7 +164,7 @@ def _table(trials: Sequence[Trial]) -> Table:
             t.robot,
             t.what,
             "first" if t.is_first else "-",
-            t.named[0].sentence if t.named else "-",
+            str(t.named[0]) if t.named else "-",
             f"{t.fit_s:.2f}",
             f"{t.search_s:.2f}",
         ]

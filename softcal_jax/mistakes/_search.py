@@ -60,9 +60,8 @@ class Mistake(Module):
     errors_before: float
     errors_after: float
 
-    @property
-    def sentence(self) -> str:
-        """What the change would do, in a sentence."""
+    def __str__(self) -> str:
+        """Write what the change would do, in a sentence."""
         before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
         unit = "mm"
         if np.isnan(before):
@@ -72,10 +71,6 @@ class Mistake(Module):
             f"{self.change} would bring the residuals from {before:.2g} {unit} to "
             f"{after:.2g} {unit}."
         )
-
-    def __str__(self) -> str:
-        """Write its sentence."""
-        return self.sentence
 
 
 def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
@@ -95,9 +90,6 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     level. Of mistakes that explain the data as well, the simplest comes first. What the
     parameters make up for, like a factor on all forces beside a modulus, leaves the
     residuals as they are, and is not named.
-
-    Args:
-        result: The calibration. It is not changed.
 
     Returns:
         The mistakes, the likeliest first; none where the model does not contradict the

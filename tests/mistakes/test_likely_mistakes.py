@@ -67,6 +67,6 @@ def test_a_factor_on_all_forces_is_named_only_where_the_bounds_exclude_it():
 
 def test_a_result_without_points_speaks_of_standard_deviations():
     mistake = Mistake("wrong sign", "Reversing gravity", np.nan, np.nan, 40.0, 1.0)
-    assert "from 40 standard deviations to 1 standard deviations" in mistake.sentence
+    assert "from 40 standard deviations to 1 standard deviations" in str(mistake)
     mistake = Mistake("wrong sign", "Reversing gravity", 0.041, 9e-4, 40.0, 1.0)
-    assert "from 41 mm to 0.9 mm" in mistake.sentence
+    assert "from 41 mm to 0.9 mm" in str(mistake)
