@@ -73,11 +73,6 @@ class _Fit(NamedTuple):
         return "no equilibrium with the fitted parameters"
 
 
-def _folds(n_c: int) -> Bool[HostArray, "n_folds n_c"]:
-    """Flag what is fitted: all configurations but each one, then all."""
-    return np.concatenate([~np.eye(n_c, dtype=bool), np.ones((1, n_c), bool)])
-
-
 def _fold_problem(
     problem: CalibrationProblem, fitted: Bool[HostArray, " n_c"]
 ) -> CalibrationProblem:
@@ -100,7 +95,7 @@ def _fit(
     settings: CalibrationSettings,
     starts: Float[Array, "n_starts n_p"],
 ) -> list[_Fit]:
-    """Fit all folds, side by side."""
+    """Fit all configurations but each one, then all, side by side."""
     images = images_of(problem.space, mirror=True)
 
     def fit(whole: Evaluator, fitted: Bool[HostArray, " n_c"]) -> _Fit:
@@ -115,9 +110,10 @@ def _fit(
         return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
 
     n_c = len(problem.configurations.gravity)
+    folds = [*~np.eye(n_c, dtype=bool), np.ones(n_c, bool)]
     with Workers(problem.model, n_c * (n_c + 1)) as workers:
         whole = Evaluator(problem, workers)
-        return workers.side_by_side(partial(fit, whole, fold) for fold in _folds(n_c))
+        return workers.side_by_side(partial(fit, whole, fold) for fold in folds)
 
 
 def _score(
