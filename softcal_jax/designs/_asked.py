@@ -9,7 +9,6 @@ from softcal_jax._names import check_known, listed
 from softcal_jax._units import readable
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationLanes,
     ImposedDisplacement,
     configuration_lanes,
     motions,
@@ -75,8 +74,9 @@ def commands(
 def check_goals(model: Model, goals: Sequence[Configuration]) -> None:
     """Raise ValueError for goals that are probably mistakes."""
     lanes = configuration_lanes(model.mesh, goals, model.mechanism)
+    held, arrays = held_nodes(model, lanes.arrays), lanes.arrays.effectors
     show = lambda value: readable(float(f"{value:.3g}"), "m")
-    for goal, records in zip(goals, lanes.effectors, strict=True):
+    for c, (goal, records) in enumerate(zip(goals, lanes.effectors, strict=True)):
         if not goal.is_measured or not any(r.seen.any() for r in records):
             raise ValueError(
                 f"configuration {goal.name!r} has no goal: give markers or effectors "
@@ -90,16 +90,6 @@ def check_goals(model: Model, goals: Sequence[Configuration]) -> None:
                     f"its place at rest, and the body is {show(size)} long: check the "
                     "unit of length and the frame."
                 )
-    _check_movable(model, goals, lanes)
-
-
-def _check_movable(
-    model: Model, goals: Sequence[Configuration], lanes: ConfigurationLanes
-) -> None:
-    """Raise ValueError for the goal of a point that is held."""
-    held = held_nodes(model, lanes.arrays)
-    arrays = lanes.arrays.effectors
-    for c, (goal, records) in enumerate(zip(goals, lanes.effectors, strict=True)):
         for record in records:
             if record.quantity != "point" or not record.seen.any():
                 continue
