@@ -44,7 +44,6 @@ from softcal_jax.fields import (
     ControlPoints,
     Entry,
     ParameterSpace,
-    SetupParameter,
     as_space,
     exactly_known,
 )
@@ -344,23 +343,11 @@ def _commanded(
     fit: CalibrationResult, goals: Sequence[Configuration]
 ) -> tuple[Configuration, ...]:
     """Return the goals with the actuation found."""
-    values = {
-        (unknown.name, entry.of): fit.value(unknown.name)
-        for entry in fit.space.entries
-        if isinstance(entry, SetupParameter) and entry.kind == "command"
-        for unknown in entry.unknowns
-    }
-
-    def value(goal: Configuration, name: str) -> float:
-        return values.get((f"{name} in {goal.name}", name), goal.actuation[name].value)
-
-    return tuple(
-        replace(
-            goal,
-            actuation={
-                name: replace(imposed, value=value(goal, name))
-                for name, imposed in goal.actuation.items()
-            },
+    values = {p.name: p.value for p in fit.parameters}
+    commanded = lambda goal: {
+        name: replace(
+            imposed, value=values.get(f"{name} in {goal.name}", imposed.value)
         )
-        for goal in goals
-    )
+        for name, imposed in goal.actuation.items()
+    }
+    return tuple(replace(goal, actuation=commanded(goal)) for goal in goals)
