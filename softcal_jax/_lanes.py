@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -21,12 +20,3 @@ def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
 def stacked(lanes: Sequence[T]) -> T:
     """Stack lanes as a batch, without compiling for each number of lanes."""
     return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
-
-
-def traceable(tree: T) -> tuple[T, T]:
-    """Split a tree into the leaves that JAX takes, and the rest, like functions.
-
-    `equinox.combine` joins them again.
-    """
-    number = lambda leaf: hasattr(leaf, "dtype") or isinstance(leaf, bool | int | float)
-    return eqx.partition(tree, number)

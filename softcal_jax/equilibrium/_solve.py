@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of, traceable
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
@@ -193,7 +193,7 @@ def _solved(model, configuration, u0, settings) -> EquilibriumSolution:
 def _equilibrium(model, configuration, u0, settings):
     # A `vmap` of the loop would run all lanes until the slowest ends. In sequence, each
     # gives what it gives alone, but for rounding, and nothing shared is copied.
-    model, rest = traceable(model)
+    model, rest = eqx.partition(model, eqx.is_array_like)
 
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._lanes import traceable
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -160,7 +159,7 @@ def equilibrium_response(
     configurations sequentially, each to its own convergence. Arguments as for
     `continue_equilibrium` and `parameter_compliance`.
     """
-    model, rest = traceable(model)
+    model, rest = eqx.partition(model, eqx.is_array_like)
 
     @jax.custom_batching.sequential_vmap
     def lane(model, space, z, configuration, guess, before, precise):
