@@ -278,57 +278,45 @@ def _result(
     in_si = lambda z: np.array([from_scaled(numbered, row) for row in np.asarray(z)])
     best = [run.best for run in runs]
     z = np.stack([run.z for run in best])
-    cost = np.array([run.cost for run in best])
-    converged = np.array([run.converged for run in best])
-    passed = np.concatenate([run.cost for run in runs])
+    ends = [(run.cost, run.z, i) for i, run in enumerate(best) if run.converged]
+    passed = [zip(run.cost, run.z, strict=True) for run in runs]
+    ends += [(c, at, None) for each in passed for c, at in each if np.isfinite(c)]
     return MultiStartResult(
         names=tuple(space.names),
         starts=in_si(starts),
         values=in_si(z),
         z=z,
-        cost=cost,
+        cost=np.array([run.cost for run in best]),
         steps=np.array([run.steps for run in best]),
-        converged=converged,
+        converged=np.array([run.converged for run in best]),
         errors=np.stack([run.errors for run in best]),
-        optima=_optima(
-            space,
-            np.concatenate([z, *(run.z for run in runs)]),
-            np.append(cost, passed),
-            np.append(converged, np.isfinite(passed)),
-            n_starts=len(runs),
-        ),
+        optima=_optima(space, ends),
     )
 
 
 def _optima(
-    space: ParameterSpace,
-    z: Float[HostArray, "n n_p"],
-    cost: Float[HostArray, " n"],
-    converged: Bool[HostArray, " n"],
-    *,
-    n_starts: int,
+    space: ParameterSpace, ends: Sequence[tuple[float, HostArray, int | None]]
 ) -> tuple[Optimum, ...]:
-    """Group converged ends by where they are, the lowest cost first.
+    """Group ends of runs by where they are, the lowest cost first.
 
-    The first `n_starts` are ends of runs; the others were only passed.
+    Each has cost, scaled parameters, and its start; None if a run only passed it.
     """
-    groups: list[list[int]] = []
+    groups: list[list[tuple[float, HostArray, int | None]]] = []
     numbered = space.numbered
-    order = np.argsort(cost, kind="stable")
-    for i in order[converged[order]].tolist():
+    for end in sorted(ends, key=lambda end: end[0]):
         for group in groups:
             # The distance wraps: an angle just below 90 deg is close to one above -90.
-            if np.max(_distance(numbered, z[i], z[group[0]])) <= SAME_OPTIMUM:
-                group.append(i)
+            if np.max(_distance(numbered, end[1], group[0][1])) <= SAME_OPTIMUM:
+                group.append(end)
                 break
         else:
-            groups.append([i])
+            groups.append([end])
     values = lambda z: map(float, from_scaled(numbered, z))
     return tuple(
         Optimum(
-            float(cost[group[0]]),
-            dict(zip(space.names, values(z[group[0]]), strict=True)),
-            tuple(sorted(i for i in group if i < n_starts)),
+            float(group[0][0]),
+            dict(zip(space.names, values(group[0][1]), strict=True)),
+            tuple(sorted(start for *_, start in group if start is not None)),
         )
         for group in groups
     )

@@ -464,7 +464,7 @@ def ends(thetas, costs, converged=None):
         steps=np.full(len(thetas), 7),
         converged=flags,
         errors=np.zeros((len(thetas), 13)),
-        optima=_optima(SPACE, z, cost, flags, n_starts=len(z)),
+        optima=_optima(SPACE, [(cost[i], z[i], i) for i in np.flatnonzero(flags)]),
     )
 
 
