@@ -95,10 +95,10 @@ def _stages(problems) -> jax.Array:
     def one(problem):
         *box, A, b = problem
         W, error, low, high = box
-        qp = _qp.scaled_qp(W, error, _qp.QPLimits(low, high, A, b, _qp.DAMPING)).qp
+        qp = _qp.scaled_qp(W, error, _qp.QPLimits(low, high, A, b, _qp.DAMPING))
         start = _qp._no_step(qp)
-        ends = (_qp._polished(qp, start), _qp._iterated(qp, start), _qp._solve(qp))
-        return jnp.stack([end.kkt for end in ends])
+        polished, iterated = _qp._polished(qp, start), _qp._iterated(qp, start)
+        return jnp.stack([polished.kkt, iterated.kkt, _qp.solved_qp(qp).kkt_residual])
 
     return jax.lax.map(one, problems)
 

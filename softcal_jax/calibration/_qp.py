@@ -54,8 +54,11 @@ class QPLimits(NamedTuple):
     damping: float | Float[Array, ""]
 
 
-class _Scaled(NamedTuple):
-    """min y.Q.y / 2 + c.y for low <= y <= high and R y <= r, all of unit size [-]."""
+class ScaledQP(NamedTuple):
+    """min y.Q.y / 2 + c.y for low <= y <= high and R y <= r, all of unit size [-].
+
+    The step is `unit` * y, within the limits `lower` and `upper`.
+    """
 
     Q: Float[Array, "n_p n_p"]
     c: Float[Array, " n_p"]
@@ -63,12 +66,6 @@ class _Scaled(NamedTuple):
     high: Float[Array, " n_p"]
     R: Float[Array, "n_rows n_p"]
     r: Float[Array, " n_rows"]
-
-
-class ScaledQP(NamedTuple):
-    """A QP in scaled form, of any number of errors, and how to return to its units."""
-
-    qp: _Scaled
     unit: Float[Array, " n_p"]
     lower: Float[Array, " n_p"]
     upper: Float[Array, " n_p"]
@@ -159,38 +156,35 @@ def scaled_qp(
     level = jnp.maximum(jnp.linalg.norm(error), jnp.max(jnp.abs(violation)))
     level = jnp.where(level > jnp.finfo(W.dtype).tiny, level, 1.0)
     V = W / size[None, :]
-    qp = _Scaled(
+    return ScaledQP(
         Q=V.T @ V + damping * jnp.eye(W.shape[1], dtype=W.dtype),
         c=V.T @ (error / level),
         low=lower * size / level,
         high=upper * size / level,
         R=R / length[:, None],
         r=b / length / level,
+        unit=level / size,
+        lower=lower,
+        upper=upper,
     )
-    return ScaledQP(qp, level / size, lower, upper)
 
 
-def solved_qp(scaled: ScaledQP) -> QPStep:
-    """Solve a QP and return the step in its own units."""
-    best = _solve(scaled.qp)
+def solved_qp(qp: ScaledQP) -> QPStep:
+    """Polish a step of zero, run BoxOSQP from there, and polish its solution."""
+    best = _polished(qp, _iterated(qp, _polished(qp, _no_step(qp))))
     # Scaling back rounds.
-    step = jnp.clip(best.y * scaled.unit, scaled.lower, scaled.upper)
+    step = jnp.clip(best.y * qp.unit, qp.lower, qp.upper)
     return QPStep(step, best.kkt)
 
 
-def _solve(qp: _Scaled) -> _Candidate:
-    """Polish a step of zero, run BoxOSQP from there, and polish its solution."""
-    return _polished(qp, _iterated(qp, _polished(qp, _no_step(qp))))
-
-
-def _no_step(qp: _Scaled) -> _Candidate:
+def _no_step(qp: ScaledQP) -> _Candidate:
     """Return the point within the bounds that is nearest to zero."""
     zero, none = jnp.zeros_like(qp.c), jnp.zeros_like(qp.r)
     nothing = _Candidate(zero, none, jnp.full((), jnp.inf, qp.c.dtype))
     return _better(qp, nothing, zero, none)
 
 
-def _iterated(qp: _Scaled, start: _Candidate) -> _Candidate:
+def _iterated(qp: ScaledQP, start: _Candidate) -> _Candidate:
     """Run BoxOSQP from a point and its multipliers."""
     # Here, so that commands which do not need it do not wait for it.
     from jaxopt import BoxOSQP
@@ -212,12 +206,12 @@ def _iterated(qp: _Scaled, start: _Candidate) -> _Candidate:
     return _better(qp, start, params.primal[0], params.dual_eq[n:])
 
 
-def _gradient(qp: _Scaled, y, mu):
+def _gradient(qp: ScaledQP, y, mu):
     """Return the gradient of the Lagrangian without the bounds."""
     return qp.Q @ y + qp.c + qp.R.T @ mu
 
 
-def _extent(qp: _Scaled):
+def _extent(qp: ScaledQP):
     """Return the range of each row over the box, at most one, to scale its slack."""
     width = jnp.abs(qp.high - qp.low)[None, :]
     # Not `R @ width`: zero times an infinite width is NaN.
@@ -225,7 +219,7 @@ def _extent(qp: _Scaled):
     return jnp.clip(jnp.sum(part, axis=1), jnp.finfo(width.dtype).eps, 1.0)
 
 
-def _better(qp: _Scaled, best: _Candidate, y, mu) -> _Candidate:
+def _better(qp: ScaledQP, best: _Candidate, y, mu) -> _Candidate:
     """Return the point of smaller KKT residual; one that is not finite never wins."""
     y, mu = jnp.clip(y, qp.low, qp.high), jnp.maximum(mu, 0.0)
     new = _Candidate(y, mu, _kkt_residual(qp, y, mu))
@@ -233,7 +227,7 @@ def _better(qp: _Scaled, best: _Candidate, y, mu) -> _Candidate:
     return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, best)
 
 
-def _kkt_residual(qp: _Scaled, y, mu):
+def _kkt_residual(qp: ScaledQP, y, mu):
     """Return the largest violation of the KKT conditions: zero only at the optimum.
 
     A component of the gradient must vanish, or push against a bound that y has reached:
@@ -260,13 +254,13 @@ def _kkt_residual(qp: _Scaled, y, mu):
     return jnp.max(jnp.concatenate([jnp.maximum(v, 0.0) for v in violations]))
 
 
-def _polished(qp: _Scaled, start: _Candidate) -> _Candidate:
+def _polished(qp: ScaledQP, start: _Candidate) -> _Candidate:
     """Descend from a point, unless it is the optimum already."""
     done = start.kkt <= SOLVED
     return jax.lax.cond(done, lambda: start, lambda: _descended(qp, start))
 
 
-def _descended(qp: _Scaled, start: _Candidate) -> _Candidate:
+def _descended(qp: ScaledQP, start: _Candidate) -> _Candidate:
     """Descend from a point by an active-set method, and solve with its last active set.
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
@@ -316,7 +310,7 @@ def _descended(qp: _Scaled, start: _Candidate) -> _Candidate:
     return _better(qp, start, *_equality_solution(qp, active, passes=3))
 
 
-def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
+def _elastic(qp: ScaledQP, y) -> tuple[ScaledQP, Float[Array, " n_p_plus_1"]]:
     """Add a variable that relaxes the rows violated at `y`, and its value there.
 
     Its cost is so high that it vanishes wherever the rows can be satisfied. Rows that
@@ -328,7 +322,7 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
     worst = jnp.max(violation, initial=0.0)
     share = violation / jnp.where(worst > 0.0, worst, 1.0)
     more = lambda array, value: jnp.append(array, jnp.asarray(value, array.dtype))
-    return _Scaled(
+    return qp._replace(
         Q=jnp.pad(qp.Q, (0, 1)).at[-1, -1].set(1.0),
         c=more(qp.c, PENALTY),
         low=more(qp.low, 0.0),
@@ -338,7 +332,7 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
     ), more(y, worst)
 
 
-def _equality_solution(qp: _Scaled, active, passes: int):
+def _equality_solution(qp: ScaledQP, active, passes: int):
     """Solve for the point and `mu`, with active bounds and rows as equalities.
 
     Dependent rows would make the system singular: they are regularised, and iterative

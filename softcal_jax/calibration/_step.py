@@ -207,8 +207,7 @@ def _solved_each(qps: ScaledQP, curved: Bool[Array, ""]) -> QPStep:
 
     def one(each: tuple[ScaledQP, Bool[Array, ""]]) -> QPStep:
         qp, wanted = each
-        shape = jax.eval_shape(solved_qp, qp)
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+        nothing = QPStep(jnp.zeros_like(qp.c), jnp.zeros((), qp.c.dtype))
         return jax.lax.cond(wanted, solved_qp, lambda _: nothing, qp)
 
     return jax.lax.map(one, (qps, jnp.stack([jnp.array(True), curved])))

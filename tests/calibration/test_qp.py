@@ -369,7 +369,8 @@ def test_iteration_starts_at_the_optimum_of_the_active_set(monkeypatch):
 def test_a_row_that_pushes_without_being_met_is_a_violation():
     """y = 0 is stationary with a multiplier of 0.5, but the row has a slack of 1."""
     one = jnp.ones(1)
-    qp = _qp._Scaled(jnp.eye(1), -0.5 * one, -one, one, jnp.eye(1), one)
+    box = one, -one, one  # unit, lower, upper
+    qp = _qp.ScaledQP(jnp.eye(1), -0.5 * one, -one, one, jnp.eye(1), one, *box)
     residual = jax.jit(_qp._kkt_residual)
     np.testing.assert_allclose(residual(qp, 0.0 * one, 0.5 * one), 0.5, rtol=ROUNDING)
     np.testing.assert_allclose(residual(qp, 0.5 * one, 0.0 * one), 0.0)
