@@ -206,7 +206,7 @@ def _result(
     first = start.z if start.notes else task.start
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(space, z, spread, budget, first),
+        parameters=parameter_estimates(space, spread, budget, first),
         uncertainty=spread,
         budget=budget,
         configurations=fits,

@@ -136,13 +136,11 @@ class ParameterEstimate(Module):
 
 def parameter_estimates(
     space: ParameterSpace,
-    z: Float[Array, " n_p"],
     spread: Uncertainty,
     budget: ErrorBudget,
     start: Float[Array, " n_p"] | None = None,
 ) -> tuple[ParameterEstimate, ...]:
     """Return values and standard errors of the parameters, in SI units."""
-    values = np.asarray(space.from_scaled(z))
     before = [parameter.start for parameter in space.parameters]
     if start is not None:
         before = np.asarray(space.from_scaled(start))
@@ -151,7 +149,7 @@ def parameter_estimates(
     return tuple(
         ParameterEstimate(
             name=parameter.name,
-            value=float(values[i]),
+            value=float(budget.values[i]),
             standard_error=float(errors[i]),
             start=float(before[i]),
             lower=float(parameter.lower),

@@ -165,7 +165,9 @@ def design(
     if of_prints is not None:
         nominal, poses, n = fit, of_prints.configurations, len(goals)
         before = over_specimens(reached, poses, n, before=True)
-        fit = _first(of_prints, n)
+        # The first few are as ordered.
+        linear = of_prints.linear.only(of_prints.linear.pose < n)
+        fit = replace(of_prints, configurations=poses[:n], linear=linear)
         reached = over_specimens(design_goals(fit, printing), poses, n)
         name, errors = "the design of least error as ordered", error_of(before)
         others = [Alternative(name, errors, expected_of(before), nominal)]
@@ -247,12 +249,6 @@ def _robust(
             asked, space, (*goals, *prints), **(known | first | more)
         ),
     )
-
-
-def _first(fit: CalibrationResult, n: int) -> CalibrationResult:
-    """Return a fit to prints as that of the first few, which are as ordered."""
-    linear = fit.linear.only(fit.linear.pose < n)
-    return replace(fit, configurations=fit.configurations[:n], linear=linear)
 
 
 def _calibrated(
