@@ -1,13 +1,13 @@
 """Contact of the body with obstacles: their shapes, and the potential between them."""
 
 from softcal_jax.contact._contacts import (
-    ContactReading as ContactReading,
     Contacts as Contacts,
+    ContactState as ContactState,
     Obstacle as Obstacle,
     Standing as Standing,
     build_contacts as build_contacts,
     contact_energy_and_force as contact_energy_and_force,
-    contact_readings as contact_readings,
+    contact_states as contact_states,
     contact_stiffness as contact_stiffness,
     depths_at_start as depths_at_start,
     passes_through as passes_through,

@@ -198,25 +198,18 @@ def _local(contacts: Contacts, z: Float[Array, "m 3"]) -> Float[Array, "n_qp 3"]
     return jnp.sum((x - origin[None])[:, None] * axes[None], axis=2)
 
 
-class _Point(NamedTuple):
-    """A point of the body near an obstacle, in the frame of that [m].
+def _cushion_and_slip(shape: AbstractShape, s, y, start) -> tuple[Array, Array]:
+    """Return how far a point has come into the cushion, and moved along it since [m].
 
-    `cushion` is how far it has come into the cushion on the obstacle, and `slip` how
-    far it has moved along the surface since, if it moved there on a straight line.
+    Points are in the frame of the obstacle, and the way there is straight.
     """
-
-    cushion: Float[Array, ""]
-    slip: Float[Array, "3"]
-
-
-def _point(shape: AbstractShape, s, y, start) -> _Point:
     gap, normal = jax.value_and_grad(shape.distance)(y)
     cushion = 0.5 * s - gap
     # How far it was outside of the cushion at the start, and how far it is inside.
     outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
     inside = jnp.maximum(cushion, 1e-9 * s)
     way = inside / (outside + inside) * (y - start)
-    return _Point(cushion, way - normal * jnp.sum(normal * way))
+    return cushion, way - normal * jnp.sum(normal * way)
 
 
 def _face_energy(
@@ -231,14 +224,13 @@ def _face_energy(
 
     `start` are the positions before the load.
     """
-    shape, s, local = contacts.shapes[k], contacts.scale, partial(_local, contacts)
+    s = contacts.scale
     if not contacts.sticks[k]:
-        energy = cushion(0.5 * s - jax.vmap(shape.distance)(local(z)), s)
+        energy = cushion(0.5 * s - _gaps(contacts, k, z), s)
     else:
-        points = jax.vmap(partial(_point, shape, s))(local(z), local(start))
-        slip = jnp.sum(points.slip**2, axis=1)
-        energy = cushion(points.cushion, s)
-        energy = energy + 0.5 / s * _grip(points.cushion, s) * slip
+        at = jax.vmap(partial(_cushion_and_slip, contacts.shapes[k], s))
+        d, slip = at(_local(contacts, z), _local(contacts, start))
+        energy = cushion(d, s) + 0.5 / s * _grip(d, s) * jnp.sum(slip**2, axis=1)
     return contacts.stiffness * jnp.sum(area * energy)
 
 
@@ -322,75 +314,74 @@ def passes_through(
     Points are looked for at few places of the way. A distance changes by at most the
     way, so that half the way between two places counts as depth.
     """
-    found = jnp.zeros((), bool)
+    through = jnp.zeros((), bool)
     for k in range(contacts.n_obstacles):
-        ends = [_positions(contacts, k, x, standing) for x in (before, after)]
-        area = ends[0][1]
-        first, last = (jax.vmap(partial(_local, contacts))(z) for z, *_ in ends)
-        distance = jax.vmap(jax.vmap(contacts.shapes[k].distance))
-        between = jnp.linspace(0.0, 1.0, _SAMPLES + 1)
-        deepest = jax.lax.map(
-            lambda t, first=first, last=last, distance=distance: distance(
-                first + t * (last - first)
-            ),
-            between,
-        ).min(axis=0)
-        way = jnp.linalg.norm(last - first, axis=2)
-        too_deep = deepest - 0.5 / _SAMPLES * way < -jnp.asarray(contacts.depth)[k]
-        found = found | jnp.any(too_deep & (area > 0.0))
-    return found
+        z, area, _ = _positions(contacts, k, before, standing)
+        to, *_ = _positions(contacts, k, after, standing)
+        lowest = jax.vmap(partial(_lowest_gaps, contacts, k))(z, to)
+        too_deep = lowest < -jnp.asarray(contacts.depth)[k]
+        through = through | jnp.any(too_deep & (area > 0.0))
+    return through
 
 
-class ContactReading(NamedTuple):
-    """What an obstacle feels.
+def _lowest_gaps(contacts: Contacts, k: int, before, after) -> Float[Array, " n_qp"]:
+    first, last = _local(contacts, before), _local(contacts, after)
+    gaps = jax.vmap(contacts.shapes[k].distance)
+    places = jnp.linspace(0.0, 1.0, _SAMPLES + 1)
+    on_way = jax.lax.map(lambda t: gaps(first + t * (last - first)), places)
+    way = jnp.linalg.norm(last - first, axis=1)
+    return jnp.min(on_way, axis=0) - 0.5 / _SAMPLES * way
+
+
+class ContactState(Module):
+    """What an obstacle feels in a state of the robot.
 
     Attributes:
-        force: Force of the robot on the obstacle [N].
+        force: Force of the robot on it [N].
         moment: Its moment about the origin of the frame of the obstacle [N m].
-        area: Area at rest of the body's surface that presses on it [m2].
-        depth: How deep the body's surface lies in it at most [m].
-        sliding: Share of that area whose friction would have to be larger [-].
+        area: Area at rest of the surface that presses on it [m2].
+        depth: How deep the surface lies in it at most [m].
+        sliding: Share of the area where friction could not hold what sticks [-].
     """
 
-    force: Float[Array, "3"]
-    moment: Float[Array, "3"]
-    area: Float[Array, ""]
-    depth: Float[Array, ""]
-    sliding: Float[Array, ""]
+    name: str = eqx.field(static=True)
+    force: Float[Array | HostArray, "3"]
+    moment: Float[Array | HostArray, "3"]
+    area: float | Float[Array, ""]
+    depth: float | Float[Array, ""]
+    sliding: float | Float[Array, ""]
 
 
-def contact_readings(
+def contact_states(
     contacts: Contacts, x: Float[Array, "n_points 3"], standing: Standing
-) -> tuple[ContactReading, ...]:
+) -> tuple[ContactState, ...]:
     """Compute what each obstacle feels at positions of all nodes [m]."""
-    readings = []
+    states = []
     for k in range(contacts.n_obstacles):
         z, area, start = _positions(contacts, k, x, standing)
         of_face = jax.vmap(jax.grad(partial(_face_energy, contacts, k)))
         on_frame = -jnp.sum(of_face(z, area, start)[:, -4:], axis=0)
         arms = x[contacts.frames[k]] - x[contacts.frames[k][0]][None]
-        at = partial(_point, contacts.shapes[k], contacts.scale)
-        local = jax.vmap(partial(_local, contacts))
-        points = jax.vmap(jax.vmap(at))(local(z), local(start))
-        pressed = jnp.where(points.cushion > 0.0, area, 0.0)
-        normal = _pressure(points.cushion, contacts.scale)
-        grip = _grip(points.cushion, contacts.scale) / contacts.scale
-        along = grip * jnp.linalg.norm(points.slip, axis=2)
-        most = jnp.asarray(contacts.friction)[k] * normal
+        s, local = contacts.scale, jax.vmap(partial(_local, contacts))
+        at = partial(_cushion_and_slip, contacts.shapes[k], s)
+        d, slip = jax.vmap(jax.vmap(at))(local(z), local(start))
+        pressed = jnp.where(d > 0.0, area, 0.0)
+        along = _grip(d, s) / s * jnp.linalg.norm(slip, axis=2)
+        most = jnp.asarray(contacts.friction)[k] * _pressure(d, s)
         slides = (along > most) & contacts.sticks[k]
-        depth = points.cushion - 0.5 * contacts.scale
         total = jnp.sum(pressed)
-        readings.append(
-            ContactReading(
+        states.append(
+            ContactState(
+                name=contacts.names[k],
                 force=jnp.sum(on_frame, axis=0),
                 moment=jnp.sum(jnp.cross(arms, on_frame), axis=0),
                 area=total,
-                depth=jnp.max(jnp.where(area > 0.0, depth, 0.0), initial=0.0),
+                depth=jnp.max(jnp.where(area > 0.0, d - 0.5 * s, 0.0), initial=0.0),
                 sliding=jnp.sum(jnp.where(slides, pressed, 0.0))
                 / jnp.where(total > 0.0, total, 1.0),
             )
         )
-    return tuple(readings)
+    return tuple(states)
 
 
 @eqx.filter_jit

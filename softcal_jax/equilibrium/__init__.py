@@ -1,6 +1,7 @@
 """Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
 
 from softcal_jax._results import RESULTS as RESULTS
+from softcal_jax.contact import ContactState as ContactState
 from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
     add_weighted as add_weighted,
@@ -60,7 +61,6 @@ from softcal_jax.equilibrium._posed import one_lane as one_lane
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState as ActuatorState,
     BodyPlace as BodyPlace,
-    ContactState as ContactState,
     Reaction as Reaction,
     RobotState as RobotState,
     actuator_states as actuator_states,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
-from softcal_jax.contact import ContactReading
+from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
@@ -61,7 +61,7 @@ class ObservedState(NamedTuple):
     actuator_displacements: Float[Array, " n_a"]
     body_rotations: Float[Array, "n_b 3 3"]
     ground_forces: Nodal
-    contacts: tuple[ContactReading, ...]
+    contacts: tuple[ContactState, ...]
 
 
 def observed_state(
@@ -90,7 +90,7 @@ def observed_state(
         body_rotations=model.frames(u).rotation,
         # Spring forces are part of the balance, but the ground carries them too.
         ground_forces=unbalanced - posed.spring_force(u),
-        contacts=posed.contact_readings(u),
+        contacts=posed.contact_states(u),
     )
 
 

@@ -34,11 +34,11 @@ from softcal_jax.configurations import (
     standing,
 )
 from softcal_jax.contact import (
-    ContactReading,
     Contacts,
+    ContactState,
     Standing,
     contact_energy_and_force,
-    contact_readings,
+    contact_states,
     contact_stiffness,
     passes_through,
 )
@@ -206,7 +206,7 @@ class Posed(NamedTuple):
 
     @property
     def standing(self) -> Standing:
-        """How the obstacles stand."""
+        """How the obstacles stand; only if there are any."""
         assert self.states is not None
         return standing(self.model.mechanism, self.states)
 
@@ -230,11 +230,11 @@ class Posed(NamedTuple):
             values = values.at[places].add(matrices[:, p, q].T)
         return values
 
-    def contact_readings(self, u: Nodal) -> tuple[ContactReading, ...]:
+    def contact_states(self, u: Nodal) -> tuple[ContactState, ...]:
         """Compute what each obstacle feels."""
         if self.contacts.n_obstacles == 0:
             return ()
-        return contact_readings(self.contacts, self.model.positions(u), self.standing)
+        return contact_states(self.contacts, self.model.positions(u), self.standing)
 
     def passes_through(self, before: Nodal, after: Nodal) -> Bool[Array, ""]:
         """Tell whether the surface comes too deep into an obstacle on its way."""

@@ -18,6 +18,7 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
+from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium._effectors import observed_state, placed
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed, one_lane
@@ -65,25 +66,6 @@ class Reaction(Module):
 
     name: str
     force: Float[HostArray, "3"]
-
-
-class ContactState(Module):
-    """What an obstacle feels at an equilibrium.
-
-    Attributes:
-        force: Force of the robot on it [N].
-        moment: Its moment about the origin of the frame of the obstacle [N m].
-        area: Area at rest of the surface that presses on it [m2].
-        depth: How deep the surface lies in it at most [m].
-        sliding: Share of the area where friction could not hold what sticks [-].
-    """
-
-    name: str
-    force: Float[HostArray, "3"]
-    moment: Float[HostArray, "3"]
-    area: float
-    depth: float
-    sliding: float
 
 
 class RobotState(Module):
@@ -159,8 +141,9 @@ def _state(
         for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
     obstacles = model.mechanism.contacts
+    plain = lambda leaf: leaf if leaf.ndim else float(leaf)
     contacts = (
-        ContactState(bodies.names[k], felt.force, felt.moment, *map(float, felt[2:]))
+        jax.tree.map(plain, felt)
         for k, felt in zip(obstacles.body, state.contacts, strict=True)
         if KINDS[int(of_bodies[bodies.owner[k]])] != "absent"
     )

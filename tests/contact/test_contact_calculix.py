@@ -61,7 +61,7 @@ def pressed(scale):
     press = Configuration("press", "z_min", gravity=(0, 0, 0), bodies={"plate": POSE})
     solution = solve_equilibrium(model, press)
     posed = Posed.of(model, lane_of(model, press))
-    (reading,) = posed.contact_readings(solution.displacement)
+    (reading,) = posed.contact_states(solution.displacement)
     u = np.asarray(solution.displacement)[: model.mesh.n_nodes]
     return Pressed(u, np.asarray(reading.force), float(reading.area))
 
