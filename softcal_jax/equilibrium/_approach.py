@@ -94,50 +94,32 @@ def approach(
         most: Newton iterations after which it is given up.
         report: Called before each step with the share of the way, and the iterations.
     """
-    part, taken = Approach(0.0, None, 0), 0
-    for k, stop in enumerate(stops):
-
-        def say(share: float, steps: int, k: int = k, taken: int = taken) -> None:
-            report((k + share) / len(stops), taken + steps)
-
-        part = _straight(at_once, known, stop, first, most - taken, say)
-        taken += part.steps
-        if part.solution is None:
-            return Approach((k + part.share) / len(stops), None, taken)
-        known = Known(stop, part.solution.displacement)
-    return Approach(1.0, part.solution, taken)
-
-
-def _straight(
-    at_once: Callable[[ConfigurationArrays, Nodal], EquilibriumSolution],
-    known: Known,
-    wanted: ConfigurationArrays,
-    first: float,
-    most: int,
-    report: Callable[[float, int], None],
-) -> Approach:
     from scipy.interpolate import KroghInterpolator  # slow to import
 
-    shares, states, step, steps = [0.0], [np.asarray(known.displacement)], first, 0
-    while step >= _SMALLEST and steps < most:
-        report(shares[-1], steps)
-        share = shares[-1] + step
-        if 1.0 - share < 0.5 * step:  # a short rest costs as much as a step
-            share = 1.0
-        lane = wanted if share == 1.0 else _between(known.configuration, wanted, share)
-        last = KroghInterpolator(shares[-_PARABOLA:], states[-_PARABOLA:])
-        solution = at_once(lane, jax.device_put(last(share)))
-        iterations = int(solution.steps)
-        steps += iterations
-        if not solution.converged:
-            step *= 0.5
-            continue
-        if share == 1.0:
-            return Approach(share, solution, steps)
-        shares.append(share)
-        states.append(np.asarray(solution.displacement))
-        step *= float(np.clip(WANTED_ITERATIONS / iterations, 0.5, 2.0))
-    return Approach(shares[-1], None, steps)
+    begun, u, solution, taken = known.configuration, known.displacement, None, 0
+    for k, stop in enumerate(stops):
+        shares, states, step = [0.0], [np.asarray(u)], first
+        while shares[-1] < 1.0:
+            way = (k + shares[-1]) / len(stops)
+            if step < _SMALLEST or taken >= most:
+                return Approach(way, None, taken)
+            report(way, taken)
+            share = shares[-1] + step
+            if 1.0 - share < 0.5 * step:  # a short rest costs as much as a step
+                share = 1.0
+            lane = stop if share == 1.0 else _between(begun, stop, share)
+            last = KroghInterpolator(shares[-_PARABOLA:], states[-_PARABOLA:])
+            solution = at_once(lane, jax.device_put(last(share)))
+            iterations = int(solution.steps)
+            taken += iterations
+            if not solution.converged:
+                step *= 0.5
+                continue
+            shares.append(share)
+            states.append(np.asarray(solution.displacement))
+            step *= float(np.clip(WANTED_ITERATIONS / iterations, 0.5, 2.0))
+        begun, u = stop, states[-1]
+    return Approach(1.0, solution, taken)
 
 
 def detours(
