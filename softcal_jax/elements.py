@@ -148,6 +148,16 @@ def sum_of(terms: Iterable[Array]) -> Array:
     return reduce(add, terms)
 
 
+def vector_length(v: Float[Array, " n"]) -> Float[Array, ""]:
+    """Compute the length of a vector, with the derivative 0 where it vanishes.
+
+    The derivative of the root is not finite there.
+    """
+    square = jnp.sum(v * v)
+    positive = square > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
 def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
     """Compute the determinant."""
     (a, b, c), (d, e, f), (g, h, i) = map(jnp.unstack, jnp.unstack(F))

@@ -22,6 +22,7 @@ from softcal_jax.actuators._actuator import (
     owned,
 )
 from softcal_jax.bodies import Vector, as_floats, three_numbers
+from softcal_jax.elements import vector_length
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
@@ -166,20 +167,10 @@ def _stacked(pieces, owner: int, *more: HostArray) -> tuple[Array, ...]:
     return owned(nodes, owner, *others, *more)
 
 
-def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
-    """Compute the length of a vector, with zero derivative at zero.
-
-    The derivative of the root is not finite there: a collapsed segment would give NaN.
-    """
-    square = jnp.sum(v**2)
-    positive = square > 0.0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
 def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, ""]:
     """Compute the angle between two segments; zero derivative if in line [rad]."""
-    across, along = _length(jnp.cross(before, after)), jnp.sum(before * after)
-    turned = across > _IN_LINE * _length(before) * _length(after)
+    across, along = vector_length(jnp.cross(before, after)), jnp.sum(before * after)
+    turned = across > _IN_LINE * vector_length(before) * vector_length(after)
     angle = jnp.arctan2(jnp.where(turned, across, 1.0), jnp.where(turned, along, 1.0))
     return jnp.where(turned, angle, jnp.where(along < 0.0, jnp.pi, 0.0))
 
@@ -210,7 +201,7 @@ class CableSegments(AbstractGuided, AbstractPotentialCliques):
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         start, end = self.weights @ x + self.fixed
-        return -_length(end - start)
+        return -vector_length(end - start)
 
 
 class FrictionalCables(AbstractGuided):
@@ -227,8 +218,11 @@ class FrictionalCables(AbstractGuided):
     def _segments(self, x: Float[Array, "m 3"]) -> Float[Array, "n_segments 3"]:
         return jnp.diff(self.weights @ x + self.fixed, axis=0)
 
+    def _lengths(self, x: Float[Array, "m 3"]) -> Float[Array, " n_segments"]:
+        return jax.vmap(vector_length)(self._segments(x))
+
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        return -jnp.sum(jax.vmap(_length)(self._segments(x)))
+        return -jnp.sum(self._lengths(x))
 
     def tensions(self, x: Float[Array, "m 3"]) -> Float[Array, " n_segments"]:
         """Compute exp(-mu sum theta) over the guides from each segment to the end."""
@@ -241,5 +235,4 @@ class FrictionalCables(AbstractGuided):
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         """Return forces on the nodes: each segment pulls its ends with its tension."""
         tensions = self.tensions(x)
-        pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
-        return jax.grad(pulled)(x)
+        return jax.grad(lambda x: -jnp.sum(tensions * self._lengths(x)))(x)

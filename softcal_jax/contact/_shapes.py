@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.elements import vector_length
 
 if TYPE_CHECKING:
     from pyvista import PolyData
@@ -50,17 +51,11 @@ def _positive(what: str, **lengths: float) -> None:
             )
 
 
-def _length(v: Float[Array, " n"]) -> Float[Array, ""]:
-    """Compute the length of a vector, with the derivative 0 where it vanishes."""
-    square = jnp.sum(v * v)
-    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
-
-
 def _rounded(
     q: Float[Array, " n"], rounding: float | Float[Array, ""]
 ) -> Float[Array, ""]:
     """Return the distance from a rounded edge, for the distances `q` from its core."""
-    return _length(jnp.maximum(q, 0.0)) + jnp.minimum(jnp.max(q), 0.0) - rounding
+    return vector_length(jnp.maximum(q, 0.0)) + jnp.minimum(jnp.max(q), 0.0) - rounding
 
 
 class HalfSpace(AbstractShape):
@@ -88,7 +83,7 @@ class Ball(AbstractShape):
         _positive("sphere", radius=self.radius)
 
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
-        return _length(y) - self.radius
+        return vector_length(y) - self.radius
 
     @property
     def depth(self) -> float:
@@ -118,7 +113,7 @@ class Capsule(AbstractShape):
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         half = 0.5 * self.length
         nearest = jnp.clip(y[2], -half, half)
-        return _length(jnp.stack([y[0], y[1], y[2] - nearest])) - self.radius
+        return vector_length(jnp.stack([y[0], y[1], y[2] - nearest])) - self.radius
 
     @property
     def depth(self) -> float:
@@ -147,7 +142,7 @@ class RoundedCylinder(AbstractShape):
         _fits("cylinder", self.rounding, self.radius, 0.5 * self.length)
 
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
-        out = jnp.stack([_length(y[:2]), jnp.abs(y[2])])
+        out = jnp.stack([vector_length(y[:2]), jnp.abs(y[2])])
         core = jnp.stack([self.radius, 0.5 * self.length]) - self.rounding
         return _rounded(out - core, self.rounding)
 
@@ -239,7 +234,7 @@ class DistanceGrid(AbstractShape):
         cube = jax.lax.dynamic_slice(self.coefficients, first, (4, 4, 4))
         value = jnp.einsum("ijk,i,j,k->", cube, *weights)
         # Beyond the grid the way back to it is added.
-        return value + self.spacing * _length(at - inside)
+        return value + self.spacing * vector_length(at - inside)
 
     @property
     def depth(self) -> float:
