@@ -257,24 +257,20 @@ class _Patch:
 
 
 def _moved(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
-    """Take the longest part of each step that brings the moduli nearer, if any does."""
-    squared = lambda x: ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
-    step, moved, before = _step(patch, asked, x), x.copy(), squared(x)
-    for length in (0.01, 0.1, 0.5, 1.0):
-        trial = np.clip(x + length * step, 0.0, [1.0, patch.last])
-        better = squared(trial) < before
-        moved[better] = trial[better]
-    return moved
-
-
-def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
-    """Return the Gauss-Newton step of each point."""
+    """Take the longest part of each Gauss-Newton step that brings the moduli nearer."""
     upper, log_moduli = np.array([1.0, patch.last]), patch.at(*x.T)[:, 1:]
     # Differences towards the inside, so that they never leave the patch.
     h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
-    moved = [patch.at(*(x + h * axis).T)[:, 1:] - log_moduli for axis in np.eye(2)]
-    J, r = np.stack(moved, axis=-1) / h[:, None], log_moduli - asked
+    beside = [patch.at(*(x + h * axis).T)[:, 1:] - log_moduli for axis in np.eye(2)]
+    J, r = np.stack(beside, axis=-1) / h[:, None], log_moduli - asked
     slope = np.einsum("nij,ni->nj", J, r)
     # A coordinate that the slope presses against its bound takes no part in the step.
     free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
-    return -np.einsum("nij,nj->ni", np.linalg.pinv(J * free[:, None]), r)
+    step = -np.einsum("nij,nj->ni", np.linalg.pinv(J * free[:, None]), r)
+    moved = x.copy()
+    for length in (0.01, 0.1, 0.5, 1.0):
+        trial = np.clip(x + length * step, 0.0, upper)
+        off = patch.at(*trial.T)[:, 1:] - asked
+        better = (off**2).sum(axis=1) < (r**2).sum(axis=1)
+        moved[better] = trial[better]
+    return moved

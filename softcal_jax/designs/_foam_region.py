@@ -39,10 +39,7 @@ def foam_region(
         mean = np.full(2, 0.5)
         low, high = np.log(isotropic_range(table))
         edge = _cut(_cut(edge, mean, high), -mean, -low)
-    along, turned = np.roll(edge, -1, axis=0) - edge, [[0.0, -1.0], [1.0, 0.0]]
-    normals = along @ np.array(turned)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    b = np.sum(normals * edge, axis=1)
+    normals, b = _half_planes(edge)
     fields = (E_l, E_t) if table.axis == "soft" else (E_t, E_l)
     return Region(fields, normals, b, edge.mean(axis=0), name=table.infill)
 
@@ -75,7 +72,8 @@ def _convex_part(outline: Polygon) -> Polygon:
 
     part, size = outline[ConvexHull(outline).vertices], np.ptp(outline, axis=0).max()
     while True:
-        depth = _depth(part, outline)
+        A, b = _half_planes(part)
+        depth = np.min(b - outline @ A.T, axis=1)
         deepest = int(depth.argmax())
         if depth[deepest] <= 1e-9 * size:
             return _smoothed(part)
@@ -90,12 +88,11 @@ def _area(polygon: Polygon) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
-def _depth(polygon: Polygon, points: Float[HostArray, "m 2"]) -> Float[HostArray, " m"]:
-    """Return how far points lie inside a convex polygon, negative outside."""
-    along = np.roll(polygon, -1, axis=0) - polygon
-    inward = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    inward /= np.linalg.norm(along, axis=1)[:, None]
-    return np.min(points @ inward.T - np.sum(inward * polygon, axis=1), axis=1)
+def _half_planes(polygon: Polygon) -> tuple[Polygon, Float[HostArray, " _"]]:
+    """Return unit normals A and b of a convex polygon A x <= b."""
+    x, y = (np.roll(polygon, -1, axis=0) - polygon).T
+    normals = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]
+    return normals, np.sum(normals * polygon, axis=1)
 
 
 def _cut(polygon: Polygon, normal: Float[HostArray, "2"], offset: float) -> Polygon:
