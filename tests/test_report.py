@@ -143,7 +143,7 @@ class TestWholeOrNotAtAll:
         assert names(tmp_path) == ["out"]
 
     @pytest.mark.parametrize(
-        "part", ["body_view", "write_markers_csv", "write_vtu", "write_json"]
+        "part", ["body_view", "write_csv", "write_vtu", "write_json"]
     )
     def test_a_failure_leaves_nothing_or_what_was_there(
         self, tmp_path, monkeypatch, part

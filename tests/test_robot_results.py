@@ -27,12 +27,7 @@ from softcal_jax.equilibrium import (
     Reaction,
     RobotState,
 )
-from softcal_jax.export import (
-    readable_values,
-    result_dict,
-    write_effectors_csv,
-    write_robot_csv,
-)
+from softcal_jax.export import readable_values, result_dict, write_csv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project
@@ -257,14 +252,13 @@ def test_a_calibration_shows_them():
 def test_effectors_and_robot_as_csv(tmp_path):
     fits = [fit_with_robot()]
     json.dumps(result_dict(make_result(fits=fits)), allow_nan=False)
-    write_effectors_csv(tmp_path / "e.csv", fits)
-    with (tmp_path / "e.csv").open(newline="") as file:
+    write_csv(tmp_path, fits)
+    with (tmp_path / "effectors.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [r["coordinate"] for r in rows] == ["turn_x", "turn_y", "turn_z", "value"]
     assert rows[2]["simulated_before"] == "0.2"
     assert (rows[3]["measured"], rows[3]["simulated"]) == ("0.002", "0.003")
-    write_robot_csv(tmp_path / "r.csv", fits)
-    with (tmp_path / "r.csv").open(newline="") as file:
+    with (tmp_path / "robot.csv").open(newline="") as file:
         parts = [row["part"] for row in csv.DictReader(file)]
     assert parts == 9 * ["rigid body"] + 2 * ["actuator"] + 3 * ["reaction"]
 

@@ -5,11 +5,7 @@ from softcal_jax._units import (
     readable_unit as readable_unit,
     readable_values as readable_values,
 )
-from softcal_jax.export._csv import (
-    write_effectors_csv as write_effectors_csv,
-    write_markers_csv as write_markers_csv,
-    write_robot_csv as write_robot_csv,
-)
+from softcal_jax.export._csv import write_csv as write_csv
 from softcal_jax.export._folder import (
     check_results_folder as check_results_folder,
     file_stems as file_stems,

@@ -15,7 +15,6 @@ from softcal_jax import export
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import (
     CalibrationResult,
-    ConfigurationResult,
     SimulationResult,
     SourceFile,
 )
@@ -332,7 +331,7 @@ def _write(
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
     with export.results_folder(directory, force=force) as folder:
-        files, bodies = _write_tables(folder, shown), []
+        files, bodies = export.write_csv(folder, shown), []
         for file, text in (texts or {}).items():
             (folder / file).write_text(text, encoding="utf-8")
             files.append(file)
@@ -390,16 +389,3 @@ def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
     said = f"left out: {', '.join(f'{stem}.{suffix}' for stem in stems)}; {problem}"
     warnings.warn(said, PictureWarning, stacklevel=4)  # before the work is done
     return said
-
-
-def _write_tables(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
-    """Write the values of all configurations, and return the names of the files."""
-    tables = {
-        "markers.csv": (export.write_markers_csv, [bool(p.points) for p in shown]),
-        "effectors.csv": (export.write_effectors_csv, [bool(p.others) for p in shown]),
-        "robot.csv": (export.write_robot_csv, [p.robot is not None for p in shown]),
-    }
-    files = [name for name, (_, needed) in tables.items() if any(needed)]
-    for name in files:
-        tables[name][0](folder / name, shown)
-    return files

@@ -14,7 +14,7 @@ from softcal_jax.calibration import SimulationResult
 from softcal_jax.export import (
     result_dict,
     simulation_dict,
-    write_robot_csv,
+    write_csv,
     write_robot_vtu,
 )
 from softcal_jax.export.result_file import RobotEntry
@@ -47,9 +47,8 @@ def test_bodies_that_are_absent_fill_no_table(model):
 
 
 def test_csv_has_a_line_per_value(model, tmp_path):
-    path = tmp_path / "robot.csv"
-    write_robot_csv(path, [pressed(model), pressed(model, name="off", present=())])
-    with path.open(newline="") as file:
+    write_csv(tmp_path, [pressed(model), pressed(model, name="off", present=())])
+    with (tmp_path / "robot.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["part"] == "contact"]
     assert {row["configuration"] for row in rows} == {"a"}
     of_probe = {r["quantity"]: r for r in rows if r["name"] == "probe"}

@@ -4,12 +4,12 @@ import dataclasses
 import pytest
 from export.handmade import make_fit, make_result, small_model, with_points
 
-from softcal_jax.export import write_json, write_markers_csv
+from softcal_jax.export import write_csv, write_json
 
 
 def test_one_line_per_marker_and_configuration(tmp_path):
-    write_markers_csv(tmp_path / "m.csv", make_result().configurations)
-    with (tmp_path / "m.csv").open(newline="") as file:
+    write_csv(tmp_path, make_result().configurations)
+    with (tmp_path / "markers.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(r["configuration"], r["role"], r["marker"]) for r in rows] == [
         ("droop", "calibration", "left"),
@@ -27,8 +27,8 @@ def test_one_line_per_marker_and_configuration(tmp_path):
 
 def test_what_was_not_measured_is_empty(tmp_path):
     fit = make_fit(small_model().mesh, error=(0.0, 0.0, 0.0), axes="yz")
-    write_markers_csv(tmp_path / "m.csv", [fit])
-    with (tmp_path / "m.csv").open(newline="") as file:
+    write_csv(tmp_path, [fit])
+    with (tmp_path / "markers.csv").open(newline="") as file:
         row = next(csv.DictReader(file))
     assert row["measured_x_mm"] == row["residual_x_mm"] == ""
     assert row["measured_y_mm"] == "20.000000"
@@ -40,8 +40,8 @@ def test_no_name_is_a_formula_for_a_spreadsheet(tmp_path):
     (fit,) = make_result().configurations[:1]
     fit = dataclasses.replace(fit, name="=cmd|' /C calc'!A0")
     fit = with_points(fit, simulated=lambda p: -p.measured)
-    write_markers_csv(tmp_path / "m.csv", [fit])
-    with (tmp_path / "m.csv").open(newline="") as file:
+    write_csv(tmp_path, [fit])
+    with (tmp_path / "markers.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {r["configuration"] for r in rows} == {"'=cmd|' /C calc'!A0"}
     cells = [cell for row in rows for cell in row.values()]
