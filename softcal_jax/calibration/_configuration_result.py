@@ -32,7 +32,9 @@ from softcal_jax.mesh import SelfContact, self_contact
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import attachments
 
-Role = Literal["calibration", "validation", "prediction", "design", "simulation"]
+Role = Literal[
+    "calibration", "validation", "prediction", "design", "command", "simulation"
+]
 
 
 class ConfigurationResult(Module):
@@ -41,7 +43,7 @@ class ConfigurationResult(Module):
     Attributes:
         name: Name of the configuration.
         role: Whether it was fitted, held out of a fit, measured and predicted without
-            any, designed for goals, or simulated without a measurement.
+            any, designed or commanded for goals, or simulated without a measurement.
         converged: Whether it has an equilibrium.
         outcome: How the solve ended, in words.
         effectors: Measured and simulated values: markers, then other effectors.

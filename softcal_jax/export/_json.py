@@ -259,14 +259,12 @@ def inverse_dict(
     attributes of `ActuatorState` and whether they are `commanded`.
     """
     points = [result] if isinstance(result, InverseResult) else result.points
-    if made is None and points:
-        made = Made(points[0].model, {})
     return plain(
         {
             "format": "softcal_jax.inverse/1",
             "name": name,
             "met": all(point.met for point in points),
-            **made_dict(made, directory),
+            **made_dict(made or Made(points[0].model, {}), directory),
             "points": [_point(point) for point in points],
             "timing_s": timing_s or {},
         }

@@ -74,7 +74,8 @@ def render_configuration(
 NOT_CONVERGED = "NOT CONVERGED: do not use these values"
 """What stands above every picture of a calibration that did not converge."""
 
-LABELS = {"design": ("goal", "reached"), "": ("measured", "simulated")}
+LABELS = {"": ("measured", "simulated")}
+LABELS |= dict.fromkeys(("design", "command"), ("goal", "reached"))
 """What legends call measured and simulated points, by role, "" for any other."""
 
 _ROLES = {
@@ -82,6 +83,7 @@ _ROLES = {
     "validation": " - validation (predicted, not fitted)",
     "prediction": " - predicted",
     "design": " - design",
+    "command": " - inverse control",
     "simulation": "",
 }
 
@@ -94,7 +96,7 @@ def motion_words(fit: ConfigurationResult) -> str:
         return "no markers"
     size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else "no equilibrium"
     text = size(fit.rms_after)
-    if fit.role == "design":
+    if fit.role in ("design", "command"):
         return f"rms distance of the markers from their goals: {text}"
     if fit.role != "prediction":
         text = f"{size(fit.rms_before)} before, {text} after"

@@ -1,21 +1,20 @@
-"""What inverse control found: its tables, pictures and page."""
+"""What inverse control found: its verdict, tables and poses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import compress
-from pathlib import Path
-from typing import Any
 
+import jax
 import numpy as np
 from rich.console import Group
 from rich.text import Text
 
 from softcal_jax._text_table import STYLES, Cell, TextTable, text_table
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import ConfigurationResult, simulation_result
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.equilibrium import RobotState
 from softcal_jax.export import readable_values
-from softcal_jax.plotting import render_body
-from softcal_jax.report._html import Html, Part, Section, bullets, closing, page
+from softcal_jax.report._html import Part, bullets
 from softcal_jax.report._tables import actuator_row, actuator_values
 from softcal_jax.report._verdict import RunVerdict
 
@@ -24,7 +23,7 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
     """Say whether the goals are met, and by which command."""
     if isinstance(result, TrajectoryResult):
         missed = tuple(result.points[i].message for i in result.unmet)
-        tone = "doubtful" if missed or not result.points else "good"
+        tone = "doubtful" if missed else "good"
         return RunVerdict(result.headline, tone, missed)
     reasons = (f"Commanded: {_inputs(result)}.",)
     return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
@@ -92,54 +91,11 @@ def _inputs(result: InverseResult) -> str:
     )
 
 
-def draw_command(
-    point: InverseResult,
-    displacement: Float[HostArray, "n_nodes 3"],
-    robot: RobotState | None,
-    path: Path,
-    *,
-    title: str,
-) -> None:
-    """Draw the equilibrium of a command, with its goals."""
-    fits = [fit for fit in point.goals if fit.effector.quantity == "point"]
-    # A coordinate without a goal does not contribute to the drawn distance.
-    goals = [
-        np.where(fit.effector.seen, fit.effector.measured, fit.reached) for fit in fits
-    ]
-    render_body(
-        point.model,
-        displacement,
-        path,
-        title=f"{title} - inverse control from {point.configuration.name!r}",
-        subtitle="all goals are met" if point.met else "not all goals are met",
-        measured=np.array(goals) if fits else None,
-        simulated=np.array([fit.reached for fit in fits]) if fits else None,
-        marker_names=[fit.name for fit in fits],
-        labels=("goal", "reached"),
-        robot=robot,
-        posed=point.configuration,
-    )
-
-
-def inverse_page(
-    result: InverseResult | TrajectoryResult,
-    data: Mapping[str, Any],
-    pictures: Sequence[Html],
-    options: Sequence[str],
-) -> str:
-    search = []
-    if isinstance(result, InverseResult) and result.attempts:
-        rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
-        columns = "started from", "steps", "largest error, in standard deviations"
-        search = [text_table("Descents", columns, rows)]
-    loaded = [data["calibration"]] if data["calibration"] is not None else []
-    sections = [
-        Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("goals", "Goals and commands", inverse_parts(result)),
-        Section("pictures", "Pictures", pictures[1:]),
-        Section("search", "Course of the search", search, folded=True),
-        *closing("inverse", data, [data["source"]], files=loaded, options=options),
-    ]
-    verdict = inverse_verdict(result)
-    of = {"index": "inverse.json", "units": "SI", "robot": next(iter(pictures), None)}
-    return page(data["name"], "Inverse control", verdict, sections, **of)
+def commanded(point: InverseResult, name: str) -> ConfigurationResult:
+    """Describe the equilibrium of a command, to compare it with its goals."""
+    # On the host: on the device, each shape would compile a program.
+    solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+    solved = simulation_result(point.model, [point.configuration], solution)
+    goals = tuple(fit.effector for fit in point.goals)
+    (pose,) = solved.configurations
+    return replace(pose, name=name, role="command", effectors=goals)

@@ -28,7 +28,7 @@ from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
-ROLES |= {"design": "design", "prediction": "predicted"}
+ROLES |= {"design": "design", "prediction": "predicted", "command": "commanded"}
 """Roles of configurations in words."""
 
 _MOST_ALIKE = 4  # quantities of one table and unit that are listed one by one

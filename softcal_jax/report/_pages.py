@@ -1,6 +1,6 @@
 """The page of each kind of run, and the parts of it that notebooks show."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -175,56 +175,61 @@ def _inner(outlook: Identifiability) -> Section:
     return Section("inner", "Correlation and singular values", tables, folded=True)
 
 
+def inverse_page(
+    result: InverseResult | TrajectoryResult,
+    options: Sequence[str],
+    data: Mapping[str, Any],
+    folder: Path,
+    view: PageView | None,
+) -> str:
+    """Write the page of inverse control; `options` are words of its command."""
+    search = []
+    if isinstance(result, InverseResult) and result.attempts:
+        rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
+        columns = "started from", "steps", "largest error, in standard deviations"
+        search = [text_table("Descents", columns, rows)]
+    loaded = [data["calibration"]] if data["calibration"] is not None else []
+    sections = [
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("goals", "Goals and commands", inverse_parts(result)),
+        *pictures_of(data, folder, view),
+        Section("search", "Course of the search", search, folded=True),
+        *closing("inverse", data, [data["source"]], files=loaded, options=options),
+    ]
+    about = {"index": "inverse.json", "units": "SI", **page_view(view)}
+    verdict = inverse_verdict(result)
+    return page(data["name"], "Inverse control", verdict, sections, **about)
+
+
 def pictures_of(
     data: Mapping[str, Any], folder: Path, view: PageView | None
 ) -> list[Section]:
-    """Show pictures of the configurations.
+    """Show pictures of the configurations, as many as a page should hold.
 
     The view hides the pictures of what it shows, except in print or without scripts.
     """
-    captions, viewed = {}, []
+    shown, hidden = [], []
+    left = MOST_PICTURES - (0 if view is None else 3 * view.size // 4)  # as base64
     for entry in data["configurations"]:
         posed, role = entry["name"], ROLES.get(entry.get("role", ""), "simulated")
-        for name in entry["files"]:
-            captions[name] = f"{posed}: the recording of the markers over time"
-            if Path(name).stem.endswith("_recording"):
+        for path in (folder / name for name in entry["files"]):
+            if path.suffix not in (".png", ".svg"):
                 continue
-            shown = "the deformed body, coloured by displacement"
-            captions[name] = f"{posed} ({role}): {shown}"
-            if view is not None and posed in view.names:
-                viewed.append(name)
-    taken = 0 if view is None else 3 * view.size // 4  # base64 adds a third
-    shown = shown_pictures(captions, folder, taken, viewed)
-    drawn = [name for name in captions if name.endswith((".png", ".svg"))]
-    return [Section("pictures", "Pictures", shown, viewed=set(drawn) <= {*viewed})]
-
-
-def shown_pictures(
-    captions: Mapping[str, str],
-    folder: Path,
-    taken: int = 0,
-    viewed: Collection[str] = (),
-) -> list[Html]:
-    """Show the pictures among files with captions, as many as a page should hold.
-
-    `taken` bytes are used already. Pictures in `viewed` are hidden where the view runs.
-    """
-    shown, left = [], MOST_PICTURES - taken
-    for name, caption in captions.items():
-        if not name.endswith((".png", ".svg")):
-            continue
-        path = folder / name
-        left -= path.stat().st_size
-        if left < 0:
-            link = node("a", name, href=name)
-            text = "to keep the page small, this picture is a separate file, "
-            drawn = node("p", f"{caption}; {text}", link, ".")
-        else:
-            drawn = figure(picture(path, caption), f"{caption}.")
-        if name in viewed:
-            drawn = node("div", drawn, class_="viewed")
-        shown.append(drawn)
-    return shown
+            caption = f"{posed} ({role}): the deformed body, coloured by displacement"
+            is_recording = path.stem.endswith("_recording")
+            if is_recording:
+                caption = f"{posed}: the recording of the markers over time"
+            left -= path.stat().st_size
+            if left < 0:
+                link = node("a", path.name, href=path.name)
+                text = "to keep the page small, this picture is a separate file, "
+                drawn = node("p", f"{caption}; {text}", link, ".")
+            else:
+                drawn = figure(picture(path, caption), f"{caption}.")
+            viewed = view is not None and posed in view.names and not is_recording
+            shown.append(node("div", drawn, class_="viewed") if viewed else drawn)
+            hidden.append(viewed)
+    return [Section("pictures", "Pictures", shown, viewed=all(hidden))]
 
 
 def identifiability_page(

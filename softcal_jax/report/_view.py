@@ -247,7 +247,7 @@ def _marks(data: Mapping[str, Any]) -> list[str]:
 
 def _legend(marks: Sequence[str], roles: Set[str]) -> Html:
     """Explain the marks, in the words of the roles of the configurations."""
-    labels = LABELS["design" if "design" in roles else ""]
+    labels = LABELS[next(iter(roles & LABELS.keys()), "")]
     called = dict(zip(LABELS[""], labels, strict=True))
     entries = []
     for name in marks:

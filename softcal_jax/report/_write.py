@@ -4,12 +4,8 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
-
-import jax
-import numpy as np
 
 from softcal_jax import export
 from softcal_jax._warnings import SoftcalWarning
@@ -21,7 +17,6 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Traces
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
-from softcal_jax.equilibrium import robot_states
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
@@ -29,7 +24,7 @@ from softcal_jax.plotting import plot_traces, render_configuration, rendering_pr
 from softcal_jax.project import Project, printed_project
 from softcal_jax.report import _pages
 from softcal_jax.report._design import design_dict
-from softcal_jax.report._inverse import draw_command, inverse_page
+from softcal_jax.report._inverse import commanded
 from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
 
@@ -117,8 +112,9 @@ def write_simulation(
     `write_results`; `made`, what the simulation was computed from and with, and
     `calibration`, the file of the values it took, give the command that repeats it.
     """
-    more: dict[str, Any] = {"made": made, "directory": directory}
-    data = export.simulation_dict(result, name=name, timing_s=timing_s, **more)
+    data = export.simulation_dict(
+        result, name=name, timing_s=timing_s, made=made, directory=directory
+    )
     values = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = values and export.file_dict(values, directory)
     page = partial(_pages.simulation_page, result)
@@ -150,8 +146,9 @@ def write_design(
     shown = SimulationResult(result.fit.model, tuple(posed))
     source = None if project is None else project.source
     made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
-    more: dict[str, Any] = {"made": made, "directory": directory}
-    data = export.simulation_dict(shown, name=name, timing_s=timing_s, **more)
+    data = export.simulation_dict(
+        shown, name=name, timing_s=timing_s, made=made, directory=directory
+    )
     data |= {"format": "softcal_jax.design/1", "design": design_dict(result)}
     texts = {}
     if project is not None:
@@ -178,8 +175,9 @@ def write_identifiability(
     configurations, `ranking` if there are no candidates. Further arguments, errors and
     what is returned are those of `write_simulation`.
     """
-    more: dict[str, Any] = {"made": made, "directory": directory}
-    data = export.outlook_dict(outlook, ranking, name=name, timing_s=timing_s, **more)
+    data = export.outlook_dict(
+        outlook, ranking, name=name, timing_s=timing_s, made=made, directory=directory
+    )
     text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
     page = partial(_pages.identifiability_page, outlook, ranking)
     return _write_words(data, "identifiability", text, page, directory, force=force)
@@ -201,8 +199,9 @@ def write_comparison(
     with, by its name, in the order in which they were given. Further arguments, errors
     and what is returned are those of `write_simulation`.
     """
-    more: dict[str, Any] = {"made": made, "directory": directory}
-    data = export.comparison_dict(comparison, name=name, timing_s=timing_s, **more)
+    data = export.comparison_dict(
+        comparison, name=name, timing_s=timing_s, made=made, directory=directory
+    )
     page = partial(_pages.comparison_page, comparison)
     text = str(comparison)
     return _write_words(data, "comparison", text, page, directory, force=force)
@@ -224,66 +223,28 @@ def write_inverse(
 ) -> Path:
     """Write a result of inverse control to a folder, whole or not at all.
 
-    The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and for each
-    goal that has an equilibrium a .vtu for ParaView and a picture, with circles where
-    the goals are. `configurations.pvd` opens all .vtu at once. With `calibration`, the
-    `result.json` that the model was loaded from, the page gives the command that
-    repeats the run; `options` are further words of it, like "--goal" and its value, and
-    `notes` are doubts about the result. Other arguments, errors and what is returned
-    are those of `write_results`.
+    The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and the files of
+    the bodies, as in `write_simulation`, with circles where the goals are. With
+    `calibration`, the `result.json` that the model was loaded from, the page gives the
+    command that repeats the run; `options` are further words of it, like "--goal" and
+    its value, and `notes` are doubts about the result. A trajectory has at least one
+    point. Other arguments, errors and what is returned are those of `write_results`.
     """
-    points = [result] if isinstance(result, InverseResult) else list(result.points)
-    more: dict[str, Any] = {"made": made, "directory": directory}
-    data = export.inverse_dict(result, name=name, timing_s=timing_s, **more)
-    several = [f"goal {i}" for i in range(1, len(points) + 1)]
-    names = ["command"] if len(points) == 1 else several
-    stems = export.file_stems(names)
-    solved = [bool(point.solution.converged) for point in points]
-    problem = picture_problem(list(compress(stems, solved)), pictures)
-    data["notes"] = [*notes, *([problem] if problem else [])]
+    points = [result] if isinstance(result, InverseResult) else result.points
+    names = [f"goal {i}" for i in range(1, len(points) + 1)]
+    names = ["command"] if len(points) == 1 else names
+    data = export.inverse_dict(
+        result, name=name, timing_s=timing_s, made=made, directory=directory
+    )
+    poses = tuple(map(commanded, points, names))
+    data["configurations"] = [{"name": pose.name, "role": pose.role} for pose in poses]
+    data["notes"] = notes
     loaded = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = loaded and export.file_dict(loaded, directory)
-    suffix = None if problem else pictures
-    seen = "the body at the commands found, coloured by displacement, with the goals "
-    seen += "(circles) and the positions reached (crosses)"
-    bodies, captions = [], {}
-    with export.results_folder(directory, force=force) as folder:
-        progress(0, len(points))
-        every = zip(points, names, stems, strict=True)
-        for k, (point, title, stem) in enumerate(every):
-            if solved[k]:
-                written = _write_body(folder, point, stem, title, suffix)
-                captions |= dict.fromkeys(written, f"{title}: {seen}")
-                bodies.append([file for file in written if file.endswith(".vtu")])
-            progress(k + 1, len(points))
-        if bodies:
-            export.write_pvd(folder / COLLECTION, bodies)
-        data["files"] = [_pages.REPORT, *([COLLECTION] if bodies else []), *captions]
-        shown = _pages.shown_pictures(captions, folder)
-        text = inverse_page(result, data, shown, options)
-        (folder / _pages.REPORT).write_text(text, encoding="utf-8")
-        export.write_json(folder / "inverse.json", data)
-    return Path(directory)
-
-
-def _write_body(
-    folder: Path, point: InverseResult, stem: str, title: str, suffix: Picture | None
-) -> list[str]:
-    """Write the equilibrium of a command, and return the names of the files."""
-    model = point.model
-    u = np.asarray(point.solution.displacement)[: model.mesh.n_nodes]
-    files = [f"{stem}.vtu"]
-    export.write_vtu(folder / files[0], model, u)
-    # On the host: on the device, each shape would compile a program.
-    solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
-    (robot,) = robot_states(model, [point.configuration], solution)
-    if robot is not None:
-        files.append(f"{stem}_robot.vtu")
-        export.write_robot_vtu(folder / files[-1], model, robot)
-    if suffix is not None:
-        files.append(f"{stem}.{suffix}")
-        draw_command(point, u, robot, folder / files[-1], title=title)
-    return files
+    shown = SimulationResult(points[0].model, poses)
+    page = partial(_pages.inverse_page, result, options)
+    drawn = {"traces": {}, "suffix": pictures, "progress": progress}
+    return _write(shown, data, directory, "inverse.json", page, force=force, **drawn)
 
 
 def _write_words(
