@@ -21,7 +21,13 @@ from softcal_jax.plotting._figure import (
     pixel_figure,
     save,
 )
-from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
+from softcal_jax.plotting._view import (
+    View,
+    VisibleFaces,
+    choose_view,
+    fit_panel,
+    visible_faces,
+)
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120  # longer side of the body, above and below it [px]
 _MARGIN = 1.08  # room for the body, over its own width and height
@@ -70,11 +76,9 @@ def plot_directions(
     view = choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
     chosen = np.ones(mesh.n_tets, bool) if where is None else where
     shapes, colours = _drawn(visible_faces(mesh, view), view, families, chosen)
-    extent = _MARGIN * np.array([view.width, view.height])
-    width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).round()
+    width, height, scale = fit_panel(view, _SIZE, _MARGIN)
     total = height + _TOP + _BOTTOM
     figure = pixel_figure(width, total)
-    scale = min(width / extent[0], height / extent[1])
     body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
     body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
     lines = [Line2D([], [], color=c, lw=4) for c, _ in zip(cycle(SERIES), families)]

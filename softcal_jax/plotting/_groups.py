@@ -3,20 +3,14 @@
 import colorsys
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
-from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting import _figure as figures, _view as views
 from softcal_jax.plotting._figure import SERIES, Axes, add_view, pixel_figure, save
-from softcal_jax.plotting._view import (
-    View,
-    VisibleFaces,
-    choose_view,
-    visible_faces,
-)
+from softcal_jax.plotting._view import View, VisibleFaces
 
 Colour = tuple[float, float, float]
 
@@ -36,19 +30,6 @@ _GOLDEN = 0.618  # step around the wheel that keeps any number of colours apart
 _LEAST = 30  # pixels of a group that are seen where its name stands
 
 
-class _Frame(NamedTuple):
-    """Size of a panel [pixels], and of what a pixel shows [m]."""
-
-    width: int
-    height: int
-    scale: float
-
-    @property
-    def half(self) -> Float[HostArray, "2"]:
-        """Half the width and height of what is shown [m]."""
-        return 0.5 * self.scale * np.array([self.width, self.height])
-
-
 def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     """Draw a mesh [m] with every group named and coloured, as a PNG or SVG file.
 
@@ -58,30 +39,28 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     """
     from matplotlib.patches import Patch
 
-    every = {**mesh.tet_groups, **mesh.surface_groups, **mesh.node_groups}
+    faced = {**mesh.tet_groups, **mesh.surface_groups}
     # Groups that a user has named get the colours that are farthest apart.
+    every = faced | mesh.node_groups
     groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
     colours = _colours(len(groups))
     panels = _panels(mesh)
     front = panels["from the front"][0]
-    frame = _frame(front)
+    width, height, scale = panel = views.fit_panel(front, _SIZE, _MARGIN)
     shown = [_faces(mesh, groups, *what) for what in panels.values()]
-    images = [
-        _image(view, *what, frame)
-        for (view, _), what in zip(panels.values(), shown, strict=True)
-    ]
+    every = zip(panels.values(), shown, strict=True)
+    images = [_image(view, *what, panel) for (view, _), what in every]
     n = len(groups)
     seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
     rows = len(panels) // _COLUMNS
-    per_row = max(1, _COLUMNS * frame.width // _ENTRY[0])
+    per_row = max(1, _COLUMNS * width // _ENTRY[0])
     legend = _ENTRY[1] * math.ceil(len(groups) / per_row)
-    total = _TOP + rows * (frame.height + _HEADING) + legend + _BOTTOM
-    figure = pixel_figure(_COLUMNS * frame.width, total)
+    total = _TOP + rows * (height + _HEADING) + legend + _BOTTOM
+    figure = pixel_figure(_COLUMNS * width, total)
     for k, (heading, (view, drawn)) in enumerate(panels.items()):
         row, column = divmod(k, _COLUMNS)
-        bottom = total - _TOP - (row + 1) * (frame.height + _HEADING)
-        box = (column * frame.width, bottom, frame.width, frame.height)
-        axes = add_view(figure, *box, scale=1.0 / frame.scale)
+        bottom = total - _TOP - (row + 1) * (height + _HEADING)
+        axes = add_view(figure, column * width, bottom, width, height, scale=scale)
         axes.set_title(heading, fontsize=16)
         faces, group = shown[k]
         # Darker where they are seen from the side.
@@ -91,10 +70,9 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
         best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
         for index in np.flatnonzero(best):
-            place = _middle(images[k] == index, frame)
+            place = _middle(images[k] == index, scale)
             style = {"ha": "center", "va": "center"}
             figures.draw_name(axes, groups[index], place, (0, 0), **style)
-    faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
         for k, name in enumerate(groups)
@@ -103,14 +81,14 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     place = {"loc": "center", "bbox_to_anchor": (0.5, (_BOTTOM + 0.5 * legend) / total)}
     look = {"ncols": per_row, "fontsize": 15, "frameon": False}
     figure.legend(handles=handles, **look, **place)
-    around = {"scale": 1.0 / frame.scale, "top": _TOP, "bottom": _BOTTOM}
+    around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
     figures.draw_frame(figure, front, **around, title=title)
     save(figure, path)
 
 
 def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
     """Choose the views, and the tets that each shows, by their headings."""
-    front = choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
+    front = views.choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
     behind = front._replace(right=-front.right, towards=-front.towards)
     middle = mesh.points.mean(axis=0)
     axes = np.linalg.svd(mesh.points - middle, full_matrices=False)[2]
@@ -125,34 +103,30 @@ def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]
     }
 
 
-def _frame(view: View) -> _Frame:
-    """Choose the size of the panels, which is the same for all views."""
-    extent = _MARGIN * np.array([view.width, view.height])
-    width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).astype(int)
-    scale = max(extent[0] / width, extent[1] / height)
-    return _Frame(int(width), int(height), float(scale))
-
-
 def _image(
-    view: View, faces: VisibleFaces, group: Int[HostArray, " n_faces"], frame: _Frame
+    view: View,
+    faces: VisibleFaces,
+    group: Int[HostArray, " n_faces"],
+    panel: tuple[int, int, float],
 ) -> Int[HostArray, "_ _"]:
     """Draw the number of the group that is seen at each pixel, negative for none."""
     from PIL import Image, ImageDraw
 
-    pixels = (view.project(faces.corners) + frame.half) / frame.scale
-    image = Image.new("I", (frame.width, frame.height), -1)
+    width, height, scale = panel
+    pixels = scale * view.project(faces.corners) + np.array([0.5 * width, 0.5 * height])
+    image = Image.new("I", (width, height), -1)
     draw = ImageDraw.Draw(image)
     for corners, index in zip(pixels, group.tolist(), strict=True):
         draw.polygon([tuple(corner) for corner in corners.tolist()], fill=index)
     return np.asarray(image)
 
 
-def _middle(seen: Bool[HostArray, "_ _"], frame: _Frame) -> Float[HostArray, "2"]:
+def _middle(seen: Bool[HostArray, "_ _"], scale: float) -> Float[HostArray, "2"]:
     """Find a place amidst the pixels of a group, and on one of them [m]."""
     places = np.argwhere(seen)[:, ::-1]
     mean = places.mean(axis=0)
     nearest = places[np.argmin(np.linalg.norm(places - mean, axis=1))]
-    return frame.scale * (nearest + 0.5) - frame.half
+    return (nearest + 0.5 - 0.5 * np.array(seen.shape[::-1])) / scale
 
 
 def _colours(n: int) -> list[Colour]:
@@ -170,7 +144,7 @@ def _faces(
 ) -> tuple[VisibleFaces, Int[HostArray, " n_faces"]]:
     """Find what is seen of some of the tets, and the group that colours each face."""
     part = TetMesh(mesh.points, mesh.tets[drawn])
-    faces = visible_faces(part, view)
+    faces = views.visible_faces(part, view)
     tets, keys = np.flatnonzero(drawn)[faces.tet], _keys(mesh, faces.nodes)
     outside = np.isin(keys, _keys(mesh, boundary_faces(mesh)))
     group = np.where(outside, _PLAIN, _CUT)

@@ -39,6 +39,17 @@ def fit_body(
     return min(scale, (height - 2 * margin) / view.height), height
 
 
+def fit_panel(view: View, size: int, margin: float) -> tuple[int, int, float]:
+    """Fit a panel to a body: width and height in pixels, and pixels per metre.
+
+    The longer side is `size`, the other at least half of it; `margin` is the room for
+    the body, over its width and height.
+    """
+    extent = margin * np.array([view.width, view.height])
+    width, height = np.maximum(size * extent / extent.max(), 0.5 * size).astype(int)
+    return int(width), int(height), min(width / extent[0], height / extent[1])
+
+
 def choose_view(
     points: Float[HostArray, "n_nodes 3"],
     displacement: Float[HostArray, "n_nodes 3"],

@@ -7,8 +7,8 @@ from matplotlib.image import imread
 from benchmarks._hollow import hollow_cube
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import plot_groups
-from softcal_jax.plotting._groups import _CUT, _colours, _faces, _frame, _image, _panels
-from softcal_jax.plotting._view import choose_view
+from softcal_jax.plotting._groups import _CUT, _colours, _faces, _image, _panels
+from softcal_jax.plotting._view import choose_view, fit_panel
 
 
 def view_of(mesh):
@@ -21,13 +21,13 @@ def test_a_box_shows_three_sides_with_their_colours():
     view, names = view_of(mesh), list(mesh.surface_groups)
     faces, group = _faces(mesh, names, view, np.ones(mesh.n_tets, bool))
     assert np.all(group >= 0)
-    frame = _frame(view)
-    image = _image(view, faces, group, frame)
+    panel = fit_panel(view, 800, 1.15)
+    image = _image(view, faces, group, panel)
     for k, name in enumerate(names):
         axis, sign = "xyz".index(name[0]), 1.0 if name.endswith("max") else -1.0
         facing = max(sign * view.towards[axis], 0.0)
         expected = facing * size.prod() / size[axis]
-        seen = np.sum(image == k) * frame.scale**2
+        seen = np.sum(image == k) / panel[2] ** 2
         # A row of pixels along its edges is its neighbour's.
         np.testing.assert_allclose(seen, expected, atol=0.02 * size[0] * size[1])
 
@@ -37,7 +37,9 @@ def test_walls_of_a_cavity_are_hidden_until_it_is_cut():
     names = list(mesh.surface_groups)
     wall, seen = names.index("cavity"), []
     for view, drawn in _panels(mesh).values():
-        image = _image(view, *_faces(mesh, names, view, drawn), _frame(view))
+        image = _image(
+            view, *_faces(mesh, names, view, drawn), fit_panel(view, 800, 1.15)
+        )
         seen.append(np.sum(image == wall))
     assert seen[:2] == [0, 0]
     assert min(seen[2:]) > 1000
