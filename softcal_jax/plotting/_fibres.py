@@ -17,6 +17,7 @@ from softcal_jax.plotting._figure import (
     TEXT,
     Axes,
     add_view,
+    draw_control_points,
     draw_frame,
     pixel_figure,
     save,
@@ -181,12 +182,8 @@ def plot_fibres(
     axes = figure.subplots(*shape, squeeze=False).ravel()
     for panel, (name, theta) in zip(axes, panels.items(), strict=True):
         _draw_layer(panel, corners, theta[layer], colours)
-        points = np.zeros((0, 3)) if control_points is None else control_points
-        look = {"ms": 12, "mfc": "white", "mec": TEXT, "mew": 2.5, "clip_on": False}
-        panel.plot(*(1e3 * points[:, columns].T), "o", zorder=5, **look)
-        for i, (x, y) in enumerate(1e3 * points[:, columns]):
-            style = {"ha": "center", "va": "center", "fontsize": 9, "zorder": 6}
-            panel.text(x, y, str(i + 1), **style)
+        if control_points is not None:
+            draw_control_points(panel, 1e3 * control_points[:, columns])
         panel.set_title(name, fontsize=15, parse_math=False)
         panel.set_ylabel(f"{plane[1]} [mm]", fontsize=13)
         last = not stacked or panel is axes[-1]

@@ -287,11 +287,32 @@ def draw_faces(
     colours: Float[HostArray, "n_faces 3"],
 ) -> None:
     """Draw faces in their order, with edges a little darker; as pixels in SVG."""
+    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
+    draw_patch(axes, view, corners, **look, rasterized=True)
+
+
+def draw_patch(
+    axes: Axes, view: View, corners: Float[HostArray, "n_faces 3 3"], **look: Any
+) -> None:
+    """Draw faces in their order."""
     from matplotlib.collections import PolyCollection
 
-    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
-    shapes = list(view.project(corners))
-    axes.add_collection(PolyCollection(shapes, **look, rasterized=True))
+    axes.add_collection(PolyCollection(list(view.project(corners)), **look))
+
+
+def draw_arrow(axes: Axes, start, end, colour: str) -> None:
+    """Draw the arrow of a force or of gravity."""
+    look = {"arrowstyle": "-|>", "color": colour, "lw": 3.0, "mutation_scale": 20}
+    look |= {"shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tuple(end), tuple(start), arrowprops=look)
+
+
+def draw_control_points(axes: Axes, places: Float[HostArray, "n 2"]) -> None:
+    """Mark control points by their numbers, from 1."""
+    axes.plot(*places.T, **SYMBOLS["control point"], clip_on=False, zorder=5)
+    style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
+    for i, (x, y) in enumerate(places, start=1):
+        axes.text(x, y, str(i), **style, zorder=6)
 
 
 def draw_frame(

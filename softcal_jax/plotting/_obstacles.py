@@ -13,7 +13,7 @@ from softcal_jax.configurations import standing
 from softcal_jax.contact import HalfSpace
 from softcal_jax.equilibrium import ContactState, Model, RobotState
 from softcal_jax.export import readable_values
-from softcal_jax.plotting._figure import FAINT, OBSTACLE, Axes, draw_name
+from softcal_jax.plotting._figure import FAINT, OBSTACLE, Axes, draw_name, draw_patch
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -109,16 +109,12 @@ def draw_obstacles(
     axes: Axes, view: View, model: Model, obstacles: Sequence[PlacedObstacle]
 ) -> None:
     """Draw obstacles by what is seen of their surfaces, behind or before the body."""
-    from matplotlib.collections import PolyCollection
-
     depth = model.mesh.points.mean(axis=0) @ view.towards
     for surface in placed_surfaces(model, obstacles):
         corners = _seen(np.asarray(surface.points)[surface.regular_faces], view)
         behind = corners.mean(axis=(0, 1)) @ view.towards < depth
         style = {"facecolor": OBSTACLE, "edgecolor": "none", "alpha": _COVER}
-        faces = PolyCollection(list(view.project(corners)), **style)
-        faces.set_zorder(0.5 if behind else 1.5)
-        axes.add_collection(faces)
+        draw_patch(axes, view, corners, **style, zorder=0.5 if behind else 1.5)
     name_obstacles(axes, view, model, obstacles)
 
 

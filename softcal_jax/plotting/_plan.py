@@ -98,10 +98,7 @@ def plot_plan(
         draw_obstacles(axes, view, model, around)
         drawn |= {"obstacle"} if around else set()
         drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
-        for i, flat in enumerate(view.project(numbered)):
-            axes.plot(*flat, **SYMBOLS["control point"])
-            style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
-            axes.text(flat[0], flat[1], str(i + 1), **style)
+        figures.draw_control_points(axes, view.project(numbered))
         style = {"fontsize": 16, "color": TEXT, "parse_math": False}
         figures.shrink(axes.set_title(headings[c.name], **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
@@ -187,16 +184,13 @@ def _draw_configuration(
 
 def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -> None:
     """Draw the nodes of rigid bodies as a patch, with name and state."""
-    from matplotlib.collections import PolyCollection
-
     bodies, mesh = model.mechanism.bodies, model.mesh
     faces = boundary_faces(mesh)[:, :3]
     for k in np.flatnonzero(bodies.has_nodes):
         name, nodes = bodies.names[k], bodies.attached[bodies.body == k]
         covered = faces[np.isin(faces, nodes).all(axis=1)]
-        corners = list(view.project(mesh.points[covered]))
         style = {"facecolor": RIGID, "edgecolor": FAINT, "lw": 0.6, "alpha": 0.75}
-        axes.add_collection(PolyCollection(corners, **style))
+        figures.draw_patch(axes, view, mesh.points[covered], **style)
         flat = view.project(mesh.points[nodes])
         if not len(covered):
             axes.plot(*flat.T, "o", ms=4, color=FAINT)

@@ -22,7 +22,9 @@ from softcal_jax.plotting._figure import (
     SYMBOLS,
     WALL,
     Axes,
+    draw_arrow,
     draw_name,
+    draw_patch,
     halo,
 )
 from softcal_jax.plotting._view import View
@@ -96,7 +98,9 @@ def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
         places = []
         if len(faces):
             drawn.add("wall under pressure")
-            places.append(_draw_wall(axes, view, picture.x[faces]))
+            style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
+            draw_patch(axes, view, picture.x[faces], **style)
+            places.append(view.project(picture.x[faces]).mean(axis=(0, 1)))
         if len(segments):
             drawn.add("cable")
             slack = actuator.force == 0.0
@@ -137,15 +141,6 @@ def _draw_cable(axes, view: View, segments: Float[HostArray, "n 2 3"], *, slack:
     return view.project(segments[np.argmax(lengths)].mean(axis=0))
 
 
-def _draw_wall(axes, view: View, corners: Float[HostArray, "n 3 3"]):
-    from matplotlib.collections import PolyCollection
-
-    flat = view.project(corners)
-    style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
-    axes.add_collection(PolyCollection(list(flat), **style))
-    return flat.mean(axis=(0, 1))
-
-
 def _draw_point(axes, view: View, actuator: ActuatorState, point, arrow):
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
@@ -156,10 +151,8 @@ def _draw_point(axes, view: View, actuator: ActuatorState, point, arrow):
         return view.project(point)
     # The arrow ends where the force acts.
     tail = point - pushes(actuator) * _ARROW * view.width * arrow
-    ends = view.project(np.stack([tail, point]))
-    look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
-    axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
-    return ends[0]
+    draw_arrow(axes, view.project(tail), view.project(point), FORCE)
+    return view.project(tail)
 
 
 def pushes(actuator: ActuatorState) -> float:
@@ -258,14 +251,11 @@ def _draw_support(
     x: Float[HostArray, "n_nodes 3"],
 ) -> None:
     """Draw the held faces as a patch, or the held nodes as squares."""
-    from matplotlib.collections import PolyCollection
-
     nodes = node_indices(mesh, support.where, "a support")
     name = support.name
     if name in mesh.surface_groups:
-        flat = view.project(x[mesh.faces(name)[:, :3]])
         style = {"facecolor": SUPPORT, "edgecolor": "white", "lw": 0.4, "alpha": 0.4}
-        axes.add_collection(PolyCollection(list(flat), **style))
+        draw_patch(axes, view, x[mesh.faces(name)[:, :3]], **style)
     else:
         axes.plot(*view.project(x[nodes]).T, **{**SYMBOLS["support"], "ms": 5})
     text = name if support.axes == "xyz" else f"{name}: {support.axes} held"
@@ -295,10 +285,8 @@ def _draw_arrow(
         axes.plot(*start, "." if along @ view.towards > 0 else "x", ms=8, color=colour)
         draw_name(axes, text, start, (12, 8), fontsize=13, color=colour)
         return
-    look = {"arrowstyle": "-|>", "color": colour, "lw": 3.0, "mutation_scale": 20}
     end = start + step
-    arrow = {**look, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tuple(end), tuple(start), arrowprops=arrow)
+    draw_arrow(axes, start, end, colour)
     # Towards the middle of the picture, where there is room.
     left = start[0] > 0.0
     side = {"ha": "right" if left else "left", "va": "center", "fontsize": 13}
