@@ -33,7 +33,7 @@ from softcal_jax.report import (
     PictureWarning,
     _write,
     answer_of,
-    simulation_table,
+    simulation_tables,
     summary_table,
     write_identifiability,
     write_results,
@@ -459,9 +459,10 @@ def test_names_are_no_markup():
 
 def test_simulation_table():
     result = make_simulation_result(small_model())
+    (table,) = simulation_tables(result)
     rows = [
         [cell.strip() for cell in line.strip("│").split("│")]
-        for line in printed(simulation_table(result)).splitlines()
+        for line in printed(table.drawn()).splitlines()
         if line.startswith("│")
     ]
     assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]

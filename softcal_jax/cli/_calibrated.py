@@ -66,7 +66,9 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         )
     show.lap("search")
     show.line()
-    show.line(report.inverse_table(result))
+    for table in report.inverse_tables(result):
+        show.line(table.drawn())
+    show.line(result.message)
     options = ["--configuration", posed.name]
     for flag in ("goal", "start", "limit"):
         for text in getattr(args, flag):

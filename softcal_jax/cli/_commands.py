@@ -121,7 +121,8 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
         show.note(f"values of {args.values}: {names}")
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
-    show.line(report.simulation_table(result))
+    for table in report.simulation_tables(result):
+        show.line(table.drawn())
     errors = report.held_out_sentences(result.configurations)
     for sentence in (*errors, *result.doubts):
         show.line(sentence)

@@ -1,7 +1,9 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
-from softcal_jax.report._design import design_tables as design_tables
-from softcal_jax.report._inverse import inverse_table as inverse_table
+from softcal_jax.report._goals import (
+    design_tables as design_tables,
+    inverse_tables as inverse_tables,
+)
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,
@@ -23,7 +25,7 @@ from softcal_jax.report._sweep_page import (
 )
 from softcal_jax.report._tables import (
     model_words as model_words,
-    simulation_table as simulation_table,
+    simulation_tables as simulation_tables,
     summary_table as summary_table,
 )
 from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer

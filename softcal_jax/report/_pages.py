@@ -11,7 +11,12 @@ from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report import _charts, _tables
-from softcal_jax.report._design import design_tables, design_verdict
+from softcal_jax.report._goals import (
+    design_tables,
+    design_verdict,
+    inverse_parts,
+    inverse_verdict,
+)
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -27,7 +32,6 @@ from softcal_jax.report._html import (
     page,
     picture,
 )
-from softcal_jax.report._inverse import inverse_parts, inverse_verdict
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._verdict import (
     TONES,

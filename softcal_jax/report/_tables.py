@@ -27,11 +27,6 @@ MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
 MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
 
 
-def simulation_table(result: SimulationResult) -> Group:
-    """Tabulate a forward simulation for the terminal: outcomes, then the robot."""
-    return Group(*map(TextTable.drawn, simulation_tables(result)))
-
-
 def simulation_tables(result: SimulationResult) -> list[TextTable]:
     """Tabulate the outcome in every configuration, and what the robot does there."""
     rows = []

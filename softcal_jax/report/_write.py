@@ -23,8 +23,7 @@ from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
 from softcal_jax.project import Project, printed_project
 from softcal_jax.report import _pages
-from softcal_jax.report._design import design_dict
-from softcal_jax.report._inverse import commanded
+from softcal_jax.report._goals import commanded, design_dict
 from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
 

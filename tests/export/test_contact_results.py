@@ -18,7 +18,7 @@ from softcal_jax.export import (
     write_robot_vtu,
 )
 from softcal_jax.export.result_file import RobotEntry
-from softcal_jax.report import simulation_table
+from softcal_jax.report import simulation_tables
 from softcal_jax.report._tables import robot_tables
 
 
@@ -30,7 +30,7 @@ def model():
 def test_a_simulation_tabulates_them(model):
     result = SimulationResult(model, (pressed(model, sliding=0.3),))
     console = Console(width=80, file=io.StringIO())
-    console.print(simulation_table(result))
+    console.print(*[table.drawn() for table in simulation_tables(result)])
     rows = [
         [cell.strip() for cell in line.split("│")[1:-1]]
         for line in console.file.getvalue().splitlines()

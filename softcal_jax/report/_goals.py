@@ -1,15 +1,24 @@
-"""What a design found: its tables, and its numbers as JSON."""
+"""What designs and inverse control found: verdicts, tables, and what they become."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import compress
 from typing import Any
 
+import jax
 import numpy as np
 
 from softcal_jax import export
 from softcal_jax._text_table import Cell, TextTable, text_table
+from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
+from softcal_jax.calibration import ConfigurationResult, simulation_result
 from softcal_jax.configurations import ImposedDisplacement
+from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import LEVEL, DesignResult
 from softcal_jax.fields import ControlPointParameters
+from softcal_jax.report._html import Part, bullets
+from softcal_jax.report._tables import actuator_row, actuator_values
 from softcal_jax.report._verdict import RunVerdict
 
 
@@ -22,24 +31,23 @@ def design_verdict(result: DesignResult) -> RunVerdict:
 def design_tables(result: DesignResult) -> list[TextTable]:
     """Tabulate fields as ordered, goals, commands, limits, and what less could do."""
     limits = [_limits(result)] if result.peaks else []
-    goals = [_goals(result), _commands(result), *limits]
-    return [ordered_table(result), *goals, _worth(result)]
+    goals = [_designed(result), _commands(result), *limits]
+    return [_ordered(result), *goals, _worth(result)]
 
 
-def ordered_table(result: DesignResult) -> TextTable:
+def _ordered(result: DesignResult) -> TextTable:
     """Tabulate what is ordered at each control point, with its foam."""
-    values, units = result.values, {p.name: p.unit for p in result.fit.parameters}
+    values = result.values
     rows: dict[str, dict[str, float]] = {}
     of_unit: dict[str, str] = {}
     for entry in result.fit.space.entries:
         for q in entry.parameters:
-            if q.name in values and isinstance(entry, ControlPointParameters):
-                point = q.name.removeprefix(f"{entry.field} of ")
-                rows.setdefault(point, {})[entry.field] = values[q.name]
-                of_unit[entry.field] = q.unit
-            elif q.name in values:
-                rows.setdefault(q.name, {})[""] = values[q.name]
-                of_unit[""] = units[q.name]
+            if q.name in values:
+                at_points = isinstance(entry, ControlPointParameters)
+                field = entry.field if at_points else ""
+                point = q.name.removeprefix(f"{field} of ")
+                rows.setdefault(point, {})[field] = values[q.name]
+                of_unit[field] = q.unit
     show = lambda value, unit: readable(float(f"{value:.4g}"), unit).strip()
     foam = result.foam
     table = []
@@ -59,7 +67,7 @@ def ordered_table(result: DesignResult) -> TextTable:
     return text_table("As ordered", columns, table)
 
 
-def _goals(result: DesignResult) -> TextTable:
+def _designed(result: DesignResult) -> TextTable:
     rows = []
     for goal in result.goals:
         unit = goal.effector.unit
@@ -139,3 +147,80 @@ def design_dict(result: DesignResult) -> dict[str, Any]:
             "alternatives": {a.name: a.error for a in result.alternatives},
         }
     )
+
+
+def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
+    """Say whether the goals are met, and by which command."""
+    if isinstance(result, TrajectoryResult):
+        missed = tuple(result.points[i].message for i in result.unmet)
+        tone = "doubtful" if missed else "good"
+        return RunVerdict(result.headline, tone, missed)
+    reasons = (f"Commanded: {_inputs(result)}.",)
+    return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
+
+
+def inverse_parts(result: InverseResult | TrajectoryResult) -> list[Part]:
+    """Show how closely the goals are met, and what the actuators do for it."""
+    if isinstance(result, InverseResult):
+        limits = "Active limits:" if result.active_limits else ""
+        return [*inverse_tables(result), limits, bullets(result.active_limits)]
+    rows = [
+        (str(i), _inputs(point), Cell(point.message, "good" if point.met else "bad"))
+        for i, point in enumerate(result.points, 1)
+    ]
+    columns = "goal", "inputs", "outcome"
+    return [text_table("Commands", columns, rows, words=["inputs"])]
+
+
+def inverse_tables(result: InverseResult) -> list[TextTable]:
+    """Tabulate goals and what is reached, and what the actuators do for it."""
+    return [_goals(result.goals), _actuators(result)]
+
+
+def _goals(goals: Sequence[GoalFit]) -> TextTable:
+    rows = []
+    for fit in goals:
+        name = f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
+        pair = [_coordinates(fit, x) for x in (fit.effector.measured, fit.reached)]
+        worst = f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}"
+        rows.append((name, *pair, fit.off, worst))
+    columns = "effector", "goal", "reached", "off by", "standard deviations"
+    return text_table("Goals", columns, rows)
+
+
+def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
+    """Write the coordinates that have a goal, with their axes if some have none."""
+    effector, seen = fit.effector, np.asarray(fit.effector.seen)
+    text = export.readable_values(values[seen].tolist(), effector.unit).rstrip()
+    if len(seen) == 1 or seen.all():
+        return text
+    return f"{', '.join(compress('xyz', seen))} = {text}"
+
+
+def _actuators(result: InverseResult) -> TextTable:
+    columns = "actuator", "kind", "force", "displacement"
+    rows = []
+    for actuator in result.actuators:
+        commanded = actuator.name in result.configuration.actuation
+        kind = actuator.kind if commanded else f"{actuator.kind}, not commanded"
+        rows.append((actuator.name, kind, *actuator_row(actuator)))
+    return text_table("Actuators", columns, rows)
+
+
+def _inputs(result: InverseResult) -> str:
+    """Write the commanded forces and displacements of the actuators."""
+    return ", ".join(
+        f"{actuator.name} = {actuator_values(actuator)[actuator.imposed]}"
+        for actuator in result.actuators
+        if actuator.name in result.configuration.actuation
+    )
+
+
+def commanded(point: InverseResult, name: str) -> ConfigurationResult:
+    """Describe the equilibrium of a command, to compare it with its goals."""
+    # On the host: on the device, each shape would compile a program.
+    solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+    solved = simulation_result(point.model, [point.configuration], solution)
+    goals = tuple(fit.effector for fit in point.goals)
+    (pose,) = solved.configurations
+    return replace(pose, name=name, role="command", effectors=goals)
