@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
@@ -11,13 +12,13 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
+    ConfigurationArrays,
     EffectorRecord,
-    ImposedDisplacement,
     configuration_lanes,
     farthest,
     motions,
 )
-from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.equilibrium import Model, RobotState, actuator_states
 from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
@@ -65,7 +66,8 @@ def plot_plan(
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism)
     markers = [[p for p in rows if p.quantity == "point"] for rows in lanes.effectors]
-    pictures = [robots.robot_picture(model, _at_rest(model, c)) for c in shown]
+    rests = [_at_rest(model, lanes.arrays[k]) for k in range(len(shown))]
+    pictures = [robots.robot_picture(model, rest) for rest in rests]
     numbered = np.zeros((0, 3)) if control_points is None else control_points
     more = [numbered, *(picture.points for picture in pictures)]
     more += [robots.load_points(c, mesh, mesh.points) for c in shown]
@@ -124,28 +126,14 @@ def _measured(
     ]
 
 
-def _at_rest(model: Model, c: Configuration) -> RobotState:
+def _at_rest(model: Model, lane: ConfigurationArrays) -> RobotState:
     """Describe the actuators of a configuration as they are imposed, undeformed."""
-    actuators, states = model.mechanism.actuators, []
-    every = zip(actuators.names, actuators.kinds, actuators.motor_body, strict=True)
-    for name, kind, motor in every:
-        asked = c.actuation.get(name)
-        by_displacement = isinstance(asked, ImposedDisplacement)
-        by_displacement |= asked is None and motor >= 0
-        value = 0.0 if asked is None else asked.value
-        states.append(
-            ActuatorState(
-                name=name,
-                kind=kind.noun,
-                imposed="displacement" if by_displacement else "force",
-                force=math.nan if by_displacement else value,
-                force_unit=kind.force_unit,
-                displacement=value if by_displacement else None,
-                displacement_unit=kind.displacement_unit,
-            )
-        )
-    still = np.zeros_like(model.mechanism.points)
-    return RobotState((), tuple(states), (), (), still)
+    lane = jax.device_get(lane)
+    asked, by_displacement = lane.actuation.value, lane.actuation.by_displacement
+    forces = np.where(by_displacement, np.nan, asked)
+    displacements = np.where(by_displacement, asked, np.nan)
+    states = actuator_states(model, lane, forces, displacements)
+    return RobotState((), states, (), (), np.zeros_like(model.mechanism.points))
 
 
 def _draw_configuration(

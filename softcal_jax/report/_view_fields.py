@@ -1,5 +1,6 @@
 """The surface of a body as a page draws it, and the fields that colour it."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
@@ -128,18 +129,15 @@ def view_fields(
 
 
 def calibrated_field(fields: Sequence[Field]) -> int:
-    """Return the index of the first field that was calibrated and varies, or else 0."""
-    labels = [field.label for field in fields]
-    for k, field in enumerate(fields):
-        name = field.label.rpartition(" [")[0]
-        known = any(label.startswith(f"{_ERROR}{name} ") for label in labels)
+    """Return the index of the first field that was calibrated and varies, or else 0.
+
+    The standard error of a field follows it.
+    """
+    for k, (field, after) in enumerate(itertools.pairwise(fields)):
         values = field.values[0]
-        if (
-            known
-            and values is not None
-            and np.nanmin(values) < 0.999 * np.nanmax(values)
-        ):
-            return k
+        if after.label.startswith(_ERROR) and values is not None:
+            if np.nanmin(values) < 0.999 * np.nanmax(values):
+                return k
     return 0
 
 

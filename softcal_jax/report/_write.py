@@ -85,7 +85,7 @@ def write_results(
         result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
     )
     page = partial(_pages.calibration_page, result, assessment)
-    drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
+    drawn = {"traces": traces, "suffix": pictures, "progress": progress}
     return _write(result, data, directory, "result.json", page, force=force, **drawn)
 
 
@@ -117,7 +117,7 @@ def write_simulation(
     values = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = values and export.file_dict(values, directory)
     page = partial(_pages.simulation_page, result)
-    drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
+    drawn = {"traces": traces, "suffix": pictures, "progress": progress}
     return _write(
         result, data, directory, "simulation.json", page, force=force, **drawn
     )
@@ -153,7 +153,7 @@ def write_design(
     if project is not None:
         texts["project.toml"] = printed_project(project, result, Path(directory))
     page = partial(_pages.design_page, result)
-    drawn = {"traces": {}, "suffix": pictures, "progress": progress, "texts": texts}
+    drawn = {"suffix": pictures, "progress": progress, "texts": texts}
     return _write(shown, data, directory, "design.json", page, force=force, **drawn)
 
 
@@ -178,8 +178,10 @@ def write_identifiability(
         outlook, ranking, name=name, timing_s=timing_s, made=made, directory=directory
     )
     text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
-    page = partial(_pages.identifiability_page, outlook, ranking)
-    return _write_words(data, "identifiability", text, page, directory, force=force)
+    page = lambda data, *_: _pages.identifiability_page(outlook, ranking, data)
+    texts = {"identifiability.txt": f"{text}\n"}
+    index = "identifiability.json"
+    return _write(None, data, directory, index, page, force=force, texts=texts)
 
 
 def write_comparison(
@@ -201,9 +203,10 @@ def write_comparison(
     data = export.comparison_dict(
         comparison, name=name, timing_s=timing_s, made=made, directory=directory
     )
-    page = partial(_pages.comparison_page, comparison)
-    text = str(comparison)
-    return _write_words(data, "comparison", text, page, directory, force=force)
+    page = lambda data, *_: _pages.comparison_page(comparison, data)
+    texts = {"comparison.txt": f"{comparison}\n"}
+    index = "comparison.json"
+    return _write(None, data, directory, index, page, force=force, texts=texts)
 
 
 def write_inverse(
@@ -242,92 +245,89 @@ def write_inverse(
     data["calibration"] = loaded and export.file_dict(loaded, directory)
     shown = SimulationResult(points[0].model, poses)
     page = partial(_pages.inverse_page, result, options)
-    drawn = {"traces": {}, "suffix": pictures, "progress": progress}
+    drawn = {"suffix": pictures, "progress": progress}
     return _write(shown, data, directory, "inverse.json", page, force=force, **drawn)
-
-
-def _write_words(
-    data: dict[str, Any],
-    stem: str,
-    text: str,
-    page: Callable[[Mapping[str, Any]], str],
-    directory: str | Path,
-    *,
-    force: bool,
-) -> Path:
-    """Write a result without bodies: as a page, as text, and last as JSON."""
-    data["files"] = [_pages.REPORT, f"{stem}.txt"]
-    with export.results_folder(directory, force=force) as folder:
-        (folder / _pages.REPORT).write_text(page(data), encoding="utf-8")
-        (folder / f"{stem}.txt").write_text(f"{text}\n", encoding="utf-8")
-        export.write_json(folder / f"{stem}.json", data)
-    return Path(directory)
 
 
 Result = CalibrationResult | SimulationResult
 
 
 def _write(
-    result: Result,
+    result: Result | None,
     data: dict[str, Any],
     directory: str | Path,
     index: str,
     page: Callable[[Mapping[str, Any], Path, PageView | None], str],
     *,
     force: bool,
-    traces: Mapping[str, Traces],
-    suffix: Picture | None,
-    progress: Progress,
     texts: Mapping[str, str] | None = None,
+    **drawn: Any,
 ) -> Path:
     """Write all files, and last the index, which lists them.
 
-    `texts` are further files by name.
+    `texts` are files by name; `drawn` says how the bodies of a result are drawn.
+    """
+    with export.results_folder(directory, force=force) as folder:
+        view, files = None, list(texts or ())
+        for file, text in (texts or {}).items():
+            (folder / file).write_text(text, encoding="utf-8")
+        if result is not None:
+            view, bodies = _write_bodies(folder, result, data, **drawn)
+            files += bodies
+        data["files"] = [_pages.REPORT, *files]
+        (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
+        export.write_json(folder / index, data)
+    return Path(directory)
+
+
+def _write_bodies(
+    folder: Path,
+    result: Result,
+    data: dict[str, Any],
+    *,
+    suffix: Picture | None,
+    progress: Progress,
+    traces: Mapping[str, Traces] | None = None,
+) -> tuple[PageView | None, list[str]]:
+    """Write tables, bodies and pictures; return the view, and the names of the files.
+
+    The configurations of `data` get theirs; its notes say which pictures are left out.
     """
     model, shown = result.model, result.configurations
     stems = export.file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
     problem = picture_problem(moved, suffix)
+    data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
-    with export.results_folder(directory, force=force) as folder:
-        files, bodies = export.write_csv(folder, shown), []
-        for file, text in (texts or {}).items():
-            (folder / file).write_text(text, encoding="utf-8")
-            files.append(file)
-        plots: dict[str, Callable[[Path], None]] = {}
-        for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
-            entry["files"] = written = []
-            if pose.converged:
-                written.append(f"{stem}.vtu")
-                path = folder / written[-1]
-                export.write_vtu(path, model, pose.displacement, standard_errors=errors)
-                if pose.robot is not None:
-                    written.append(f"{stem}_robot.vtu")
-                    export.write_robot_vtu(folder / written[-1], model, pose.robot)
-                bodies.append(list(written))
-            if pose.name in traces and suffix:
-                written.append(f"{stem}_recording.{suffix}")
-                draw = partial(plot_traces, traces[pose.name], name=pose.name)
-                plots[written[-1]] = draw
-            if pose.converged and suffix and problem is None:
-                written.append(f"{stem}.{suffix}")
-                draw = partial(render_configuration, model, pose, converged=trusted)
-                plots[written[-1]] = draw
-        if bodies:
-            export.write_pvd(folder / COLLECTION, bodies)
-            files.append(COLLECTION)
-        progress(0, len(plots))
-        for done, (file, plot) in enumerate(plots.items(), start=1):
-            plot(folder / file)
-            progress(done, len(plots))
-        files += [file for entry in data["configurations"] for file in entry["files"]]
-        data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        data["files"] = [_pages.REPORT, *files]
-        view = None if suffix is None else body_view(result, errors)
-        (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
-        export.write_json(folder / index, data)
-    return Path(directory)
+    files, bodies = export.write_csv(folder, shown), []
+    plots: dict[str, Callable[[Path], None]] = {}
+    for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
+        entry["files"] = written = []
+        if pose.converged:
+            written.append(f"{stem}.vtu")
+            path = folder / written[-1]
+            export.write_vtu(path, model, pose.displacement, standard_errors=errors)
+            if pose.robot is not None:
+                written.append(f"{stem}_robot.vtu")
+                export.write_robot_vtu(folder / written[-1], model, pose.robot)
+            bodies.append(list(written))
+        if traces and pose.name in traces and suffix:
+            written.append(f"{stem}_recording.{suffix}")
+            plots[written[-1]] = partial(plot_traces, traces[pose.name], name=pose.name)
+        if pose.converged and suffix and problem is None:
+            written.append(f"{stem}.{suffix}")
+            draw = partial(render_configuration, model, pose, converged=trusted)
+            plots[written[-1]] = draw
+    if bodies:
+        export.write_pvd(folder / COLLECTION, bodies)
+        files.append(COLLECTION)
+    progress(0, len(plots))
+    for done, (file, plot) in enumerate(plots.items(), start=1):
+        plot(folder / file)
+        progress(done, len(plots))
+    files += [file for entry in data["configurations"] for file in entry["files"]]
+    return None if suffix is None else body_view(result, errors), files
 
 
 def _field_errors(result: Result) -> TetValues | None:
@@ -347,5 +347,5 @@ def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
     if problem is None:
         return None
     said = f"left out: {', '.join(f'{stem}.{suffix}' for stem in stems)}; {problem}"
-    warnings.warn(said, PictureWarning, stacklevel=4)  # before the work is done
+    warnings.warn(said, PictureWarning, stacklevel=5)  # before the work is done
     return said
