@@ -70,9 +70,9 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
             force = readable_values(list(reaction.force), "N")
             rows["Reactions"].append((result.name, reaction.name, force))
         for contact in robot.contacts:
-            name = (result.name, contact.name)
-            rows["Contacts"].append((*name, *_felt(contact)))
-            rows["Contact areas"].append((*name, *_touched(contact)))
+            name, felt = (result.name, contact.name), _felt(contact)
+            rows["Contacts"].append((*name, *felt[:2]))
+            rows["Contact areas"].append((*name, *felt[2:]))
     return [
         text_table(title, ("configuration", *columns), rows[title])
         for title, columns in titles.items()
@@ -105,18 +105,12 @@ def _body_rows(pose: str, robot: RobotState) -> Iterator[tuple[str, ...]]:
 
 
 def _felt(contact: ContactState) -> list[str]:
+    """Write force, moment, area, depth and sliding."""
     if contact.area == 0.0:
-        return ["not touched", "-"]
+        return ["not touched", "-", "-", "-", "-"]
     return [
-        readable_values(list(values), unit, digits=3)
-        for values, unit in ((contact.force, "N"), (contact.moment, "N m"))
-    ]
-
-
-def _touched(contact: ContactState) -> list[str]:
-    if contact.area == 0.0:
-        return ["-", "-", "-"]
-    return [
+        readable_values(list(contact.force), "N", digits=3),
+        readable_values(list(contact.moment), "N m", digits=3),
         readable_values([contact.area], "m2", digits=3),
         readable_values([contact.depth], "m", digits=3),
         f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-",

@@ -63,7 +63,7 @@ def view_data(
             "points": placed(x),
             "fibres": placed(f),
             "markers": _markers(pose),
-            **{key: part for key, part in robot.items() if key != "reach"},
+            **robot,
             "walls": pack(surface.having(robot["walls"]).astype("u1"))
             if len(robot["walls"])
             else None,
@@ -171,7 +171,12 @@ def _first_view(
     gravity = () if posed is None else posed.gravity
     view = plotting.choose_view(X, u, everything, gravity)
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
-    return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
+    more = []  # points that must be in the view
+    for robot in robots:
+        more += [end for c in robot["cables"] for s in c["segments"] for end in s]
+        more += [part["tip"] for part in robot["arrows"]]
+        more += [part["at"] for part in (*robot["motors"], *robot["frames"])]
+    return {**axes, "more": more}
 
 
 def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
@@ -181,9 +186,8 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
         `cables` (`name`, `slack`, `segments`), `walls`: corners of the faces under
         pressure, `wallNames` (`name`, `at`), `arrows` (`kind`, `name`, `tip`,
         `towards`), `motors` (`name`, `at`, `axis`), `frames` (`kind`, `name`, `at`,
-        `axes`), `obstacles` (`shape`, `name`, `at`, `axes`), `gravity`: its direction
-        or None, and `reach`: points that must be in the view. Without an equilibrium
-        there is only gravity.
+        `axes`), `obstacles` (`shape`, `name`, `at`, `axes`), and `gravity`: its
+        direction or None. Without an equilibrium there is only gravity.
     """
     data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
     empty = "cables wallNames arrows motors frames obstacles"
@@ -204,10 +208,6 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     gravity = np.zeros(3) if posed is None else np.asarray(posed.gravity, float)
     size = np.linalg.norm(gravity)
     data["gravity"] = (gravity / size).tolist() if size > 0.0 else None
-    ends = [end for c in data["cables"] for s in c["segments"] for end in s]
-    tips = [part["tip"] for part in data["arrows"]]
-    places = [part["at"] for part in (*data["motors"], *data["frames"])]
-    data["reach"] = [*ends, *tips, *places]
     return data
 
 

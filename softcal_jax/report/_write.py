@@ -296,7 +296,11 @@ def _write_bodies(
     model, shown = result.model, result.configurations
     stems = export.file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
-    problem = picture_problem(moved, suffix)
+    problem = rendering_problem() if suffix and moved else None
+    if problem is not None:
+        left_out = ", ".join(f"{stem}.{suffix}" for stem in moved)
+        problem = f"left out: {left_out}; {problem}"
+        warnings.warn(problem, PictureWarning, stacklevel=4)  # before the work is done
     data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
@@ -336,16 +340,3 @@ def _field_errors(result: Result) -> TetValues | None:
         return None
     estimate = result.space, result.z, result.budget.covariance
     return field_standard_errors(result.model, *estimate)
-
-
-def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
-    """Say which pictures cannot be drawn here, why, and the remedy, and warn of it.
-
-    `stems` are the names of their files without suffix; a suffix of None asks for none.
-    """
-    problem = rendering_problem() if suffix and stems else None
-    if problem is None:
-        return None
-    said = f"left out: {', '.join(f'{stem}.{suffix}' for stem in stems)}; {problem}"
-    warnings.warn(said, PictureWarning, stacklevel=5)  # before the work is done
-    return said
