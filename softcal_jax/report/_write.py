@@ -9,11 +9,7 @@ from typing import Any, Literal
 
 from softcal_jax import export
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.calibration import (
-    CalibrationResult,
-    SimulationResult,
-    SourceFile,
-)
+from softcal_jax.calibration import CalibrationResult, SimulationResult, SourceFile
 from softcal_jax.configurations import Traces
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
