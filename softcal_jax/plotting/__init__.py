@@ -31,7 +31,6 @@ from softcal_jax.plotting._plan import (
 )
 from softcal_jax.plotting._robot import (
     RobotPicture as RobotPicture,
-    SensorFrame as SensorFrame,
     actuator_words as actuator_words,
     load_place as load_place,
     pushes as pushes,

@@ -155,9 +155,9 @@ def render_body(
         more.append(picture.points)
     x = model.mesh.points + u
     if posed is not None:
-        more.append(robots.load_points(posed, model.mesh, x))
+        more += [robots.load_place(load, model.mesh, x)[0] for load in posed.loads]
     gravity = () if posed is None else posed.gravity
-    view = choose_view(model.mesh.points, u, np.concatenate(more), gravity)
+    view = choose_view(model.mesh.points, u, np.vstack(more), gravity)
     width = _WIDTH - _SIDE
     scale, height = fit_body(view, width, _MARGIN, _LOWEST, _HIGHEST)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())

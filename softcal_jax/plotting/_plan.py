@@ -70,7 +70,8 @@ def plot_plan(
     pictures = [robots.robot_picture(model, rest) for rest in rests]
     numbered = np.zeros((0, 3)) if control_points is None else control_points
     more = [numbered, *(picture.points for picture in pictures)]
-    more += [robots.load_points(c, mesh, mesh.points) for c in shown]
+    loads = [load for c in shown for load in c.loads]
+    more += [robots.load_place(load, mesh, mesh.points)[0] for load in loads]
     for points in markers:
         more += [p.at_rest for p in points]
         more += [place for place, _ in _measured(model, points)]

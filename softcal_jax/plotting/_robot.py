@@ -77,7 +77,7 @@ class RobotPicture(NamedTuple):
         """
         shape = self.geometry
         for a, actuator in enumerate(self.state.actuators):
-            if is_seen(actuator):
+            if actuator.kind not in _UNSEEN_AT_REST or actuator.force != 0.0:
                 k = np.flatnonzero(shape.point_owner == a)[:1]
                 segments = shape.segments[shape.segment_owner == a]
                 faces = shape.faces[shape.face_owner == a, :3]
@@ -111,11 +111,6 @@ def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
         if places:
             draw_name(axes, actuator_words(actuator), places[0], (0, 12), ha="center")
     return drawn
-
-
-def is_seen(actuator: ActuatorState) -> bool:
-    """Say whether an actuator is drawn: forces and surface pressures only if not 0."""
-    return actuator.kind not in _UNSEEN_AT_REST or actuator.force != 0.0
 
 
 def actuator_words(actuator: ActuatorState) -> str:
@@ -191,14 +186,6 @@ def load_place(
     if not weights.any():
         weights = np.ones(mesh.n_nodes)
     return np.average(x, axis=0, weights=weights), forces.sum(axis=0)
-
-
-def load_points(
-    configuration: Configuration, mesh: TetMesh, x: Float[HostArray, "n_nodes 3"]
-) -> Float[HostArray, "n 3"]:
-    """Return the points at which loads act, which must be visible [m]."""
-    places = [load_place(load, mesh, x)[0] for load in configuration.loads]
-    return np.array(places, float).reshape(-1, 3)
 
 
 def draw_setup(

@@ -175,7 +175,14 @@ def _blindness(outlook: Identifiability) -> list[Part]:
 
 
 def _inner(outlook: Identifiability) -> Section:
-    tables = _tables.inner_tables(outlook)
+    """Show the correlation of the parameters and the singular values of W_ep."""
+    several = outlook.n_parameters > 1
+    tables = [_tables.correlation_table(outlook)] if several else []
+    if outlook.n_data:
+        values = enumerate(outlook.conditioning.singular_values, 1)
+        rows = [(str(k), f"{value:.3g}") for k, value in values]
+        title = "Singular values of W_ep in units of the noise"
+        tables.append(text_table(title, ("number", "singular value"), rows))
     return Section("inner", "Correlation and singular values", tables, folded=True)
 
 
@@ -243,7 +250,7 @@ def identifiability_page(
     verdict = RunVerdict("There is nothing to assess.", "plain")
     sections = [Section("next", "What to measure next", _next(outlook, ranking))]
     if outlook is not None:
-        verdict = _outlook_verdict(outlook)
+        verdict = RunVerdict(outlook.headline, TONES[outlook.verdict])
         blind = _blindness(outlook)
         sections += [
             Section("parameters", "Parameters", _verdicts(outlook)),
@@ -255,10 +262,6 @@ def identifiability_page(
     sections += closing("identify", data, [data["source"]])
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
-
-
-def _outlook_verdict(outlook: Identifiability) -> RunVerdict:
-    return RunVerdict(outlook.headline, TONES[outlook.verdict])
 
 
 def _next(outlook: Identifiability | None, ranking: Ranking | None) -> list[Part]:
@@ -323,7 +326,8 @@ def notebook_html(result: object) -> Html:
             known = [provided, outlook.headline, *_known(outlook)]
             return output(verdict_of(result), [*known, result.prediction or ""])
         case Identifiability():
-            return output(_outlook_verdict(result), _known(result))
+            verdict = RunVerdict(result.headline, TONES[result.verdict])
+            return output(verdict, _known(result))
         case Ranking():
             _, *content = _next(None, result)  # the first repeats the verdict
             return output(RunVerdict(result.headline, "plain"), content)

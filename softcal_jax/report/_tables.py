@@ -271,18 +271,7 @@ def blindness(outlook: Identifiability) -> list[str]:
     return lines
 
 
-def inner_tables(outlook: Identifiability) -> list[TextTable]:
-    """Tabulate the correlation of the parameters and the singular values of W_ep."""
-    tables = [_correlation_table(outlook)] if outlook.n_parameters > 1 else []
-    if outlook.n_data:
-        values = enumerate(outlook.conditioning.singular_values, 1)
-        rows = [(str(k), f"{value:.3g}") for k, value in values]
-        title = "Singular values of W_ep in units of the noise"
-        tables.append(text_table(title, ("number", "singular value"), rows))
-    return tables
-
-
-def _correlation_table(outlook: Identifiability) -> TextTable:
+def correlation_table(outlook: Identifiability) -> TextTable:
     """Tabulate the correlation of all parameters, or the strongest pairs of many."""
     names = [p.name for p in outlook.parameters]
     C = outlook.correlation
