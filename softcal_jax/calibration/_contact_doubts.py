@@ -36,11 +36,11 @@ def _doubts(contacts: Contacts, pose: str, contact: ContactState) -> Iterator[st
             f"would slide at the coefficient of friction {friction:g}; it is held as "
             "if it stuck."
         )
-    scale = float(contacts.scale)
-    if contact.depth > scale:
+    scale, depth = float(contacts.scale), float(contact.depth)
+    if depth > scale:
         E = readable(float(contacts.stiffness), "Pa")
         yield (
-            f"{pose}: the body lies {readable(contact.depth, 'm')} inside "
+            f"{pose}: the body lies {readable(depth, 'm')} inside "
             f'"{contact.name}", deeper than the scale of contact, '
             f"{readable(scale, 'm')}: the pressure is more than half of {E}, the "
             "modulus at the start, which contact has. Start with a larger modulus, or "

@@ -117,7 +117,12 @@ def follow_trajectory(
 
     Returns:
         The commands, up to the first one whose start has no regular equilibrium.
+
+    Raises:
+        ValueError: Also if there is no goal.
     """
+    if len(goals) == 0:
+        raise ValueError("goals is empty: give at least one point of the trajectory.")
     points: list[InverseResult] = []
     now, guess = configuration, None
     for goal in goals:

@@ -111,8 +111,8 @@ def _felt(contact: ContactState) -> list[str]:
     return [
         readable_values(list(contact.force), "N", digits=3),
         readable_values(list(contact.moment), "N m", digits=3),
-        readable_values([contact.area], "m2", digits=3),
-        readable_values([contact.depth], "m", digits=3),
+        readable_values([float(contact.area)], "m2", digits=3),
+        readable_values([float(contact.depth)], "m", digits=3),
         f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-",
     ]
 

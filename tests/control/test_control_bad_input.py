@@ -17,6 +17,7 @@ from softcal_jax.control import (
     ControlSettings,
     ControlWarning,
     Limits,
+    follow_trajectory,
     solve_inverse,
     with_goals,
 )
@@ -28,6 +29,11 @@ EFFECTORS = [
 ]
 START = pose(effectors=EFFECTORS, top=1.0, motor=0.1)
 GOAL = {"tip": (0.1, 0.0, 0.0)}
+
+
+def test_a_trajectory_has_a_goal():
+    with pytest.raises(ValueError, match="goals is empty"):
+        follow_trajectory(arm(), START, [])
 
 
 def test_a_force_along_one_axis_has_a_goal_of_one_number():

@@ -127,7 +127,7 @@ def law_for_sofa(
     if hooke is not None and (linear or choice == "corotational"):
         return SofaCorotational.of_mesh(mesh, hooke, rotation)
     elasticity = getattr(law, "elasticity", None)
-    fibres = TransverseIsotropic | ReducedTransverseIsotropic
+    fibres = TransverseIsotropic, ReducedTransverseIsotropic
     if linear and isinstance(elasticity, fibres):
         return SofaCorotational.of_mesh(mesh, PluginElasticity(elasticity), "large")
     if hooke is None or not isinstance(law, NeoHookean | StVenantKirchhoff):
