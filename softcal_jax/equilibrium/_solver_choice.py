@@ -20,6 +20,7 @@ from softcal_jax._process import available_cores
 from softcal_jax.equilibrium._linear_solver import (
     AbstractLinearSolver,
     Klu,
+    LinearSolution,
     Pardiso,
     fix_threads,
 )
@@ -66,11 +67,8 @@ class HostPardiso(AbstractLinearSolver):
         return cls(sparsity)
 
     def _factor_solve(self, values, rhs):
-        results = (
-            jax.ShapeDtypeStruct(rhs.shape, rhs.dtype),
-            jax.ShapeDtypeStruct((), np.int32),
-            jax.ShapeDtypeStruct((), bool),
-        )
+        shapes = (rhs.shape, rhs.dtype), ((), np.int32), ((), bool)
+        results = LinearSolution(*(jax.ShapeDtypeStruct(*shape) for shape in shapes))
         s = self.sparsity
         return jax.pure_callback(
             _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
@@ -110,10 +108,11 @@ def _on_host(symmetric, indptr, indices, values, rhs):
             pardiso.remove_stored_factorization()
             if error.value != _ZERO_PIVOT:
                 raise
-            return np.zeros_like(rhs), np.int32(0), np.bool_(False)
+            return LinearSolution(np.zeros_like(rhs), np.int32(0), np.bool_(False))
         regular = pardiso.get_iparm(_PERTURBED) == 0
         n_negative = pardiso.get_iparm(_NEGATIVE) if symmetric else -1
-    return np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular)
+    x = np.ascontiguousarray(x)
+    return LinearSolution(x, np.int32(n_negative), np.bool_(regular))
 
 
 class NoSolver(AbstractLinearSolver):
