@@ -246,14 +246,23 @@ class _Patch:
         s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
         grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
         tree = KDTree(self.at(*grid.T)[:, 1:])
-        x = grid[tree.query(asked)[1]]
-        for _ in range(20):
-            before, x = x, _moved(self, asked, x)
-            # After so small a step, a quadratic iteration is at rounding.
-            if np.abs(x - before).max(initial=0.0) <= 1e-9:
-                break
+        x = _refined(self, asked, grid[tree.query(asked)[1]])
         levels = np.interp(x[:, 1], np.arange(len(self.levels)), self.levels)
         return np.exp(levels) if self.is_log else levels, self.at(*x.T)
+
+
+def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
+    """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
+    x, active = x.copy(), np.arange(len(x))
+    for _ in range(20):
+        moved = _moved(patch, asked[active], x[active])
+        gone = np.abs(moved - x[active]).max(axis=1)
+        x[active] = moved
+        # After so small a step, a quadratic iteration is at rounding.
+        active = active[gone > 1e-9]
+        if not active.size:
+            break
+    return x
 
 
 def _moved(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
