@@ -58,8 +58,8 @@ class AbstractLinearSolver(Module):
     @abstractmethod
     def _factor_solve(
         self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
-    ) -> LinearSolution:
-        """Factorize finite values and solve; what is not `ok` need not be zero."""
+    ) -> tuple[Float[Array, "n_rhs n_dof"], Int[Array, ""], Bool[Array, ""]]:
+        """Factorize finite values and solve; return x, n_negative and ok."""
 
     def factor_solve(
         self,
@@ -124,9 +124,9 @@ class AbstractLinearSolver(Module):
         begun = x, off(x), jnp.zeros((), jnp.int32)
         go_on = lambda c: (c[1] > REFINED) & (c[2] < MOST_REFINEMENTS)
         x, left, _ = jax.lax.while_loop(go_on, refine, begun)
-        refined = LinearSolution(x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
-        anew = lambda: self.factor_solve(values, rhs)
-        return jax.lax.cond(left <= REFINED, lambda: refined, anew)
+        refined = lambda: (x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
+        anew = lambda: tuple(self.factor_solve(values, rhs))
+        return LinearSolution(*jax.lax.cond(left <= REFINED, refined, anew))
 
 
 _Options = tuple[tuple[int, int], ...]
@@ -222,15 +222,19 @@ class Pardiso(AbstractLinearSolver):
         return cls(sparsity, token, options, np.asarray(report[_MFLOP]), spare)
 
     def _factor_solve(self, values, rhs):
+        solved = self._factor_solve_once(values, rhs)
+        spare = self.spare
+        if spare is None:
+            return solved
+        again = lambda: spare._factor_solve_once(values, rhs)
+        return jax.lax.cond(solved[2], lambda: solved, again)
+
+    def _factor_solve_once(self, values, rhs):
         x, iparm, _ = self._call("factor_and_solve_stateful", values, rhs)
         perturbed_pivots, negative_eigenvalues = iparm[13], iparm[22]
         if not self.counts_negative:
             negative_eigenvalues = jnp.full_like(negative_eigenvalues, -1)
-        solved = LinearSolution(x, negative_eigenvalues, perturbed_pivots == 0)
-        if (spare := self.spare) is None:
-            return solved
-        again = lambda: spare._factor_solve(values, rhs)
-        return jax.lax.cond(solved.ok, lambda: solved, again)
+        return x, negative_eigenvalues, perturbed_pivots == 0
 
     def another(self, number):
         return self._of(self.sparsity, self.options, number)
@@ -332,4 +336,4 @@ class Klu(AbstractLinearSolver):
         answers, x = jnp.split(x, [len(self.probes)])
         change = jnp.linalg.norm(shift[None] * answers, axis=1)
         regular = jnp.all(filled) & jnp.all(change <= _KLU_CHANGE)
-        return LinearSolution(x, jnp.full((), -1, jnp.int32), regular)
+        return x, jnp.full((), -1, jnp.int32), regular

@@ -20,7 +20,6 @@ from softcal_jax._process import available_cores
 from softcal_jax.equilibrium._linear_solver import (
     AbstractLinearSolver,
     Klu,
-    LinearSolution,
     Pardiso,
     fix_threads,
 )
@@ -67,8 +66,11 @@ class HostPardiso(AbstractLinearSolver):
         return cls(sparsity)
 
     def _factor_solve(self, values, rhs):
-        shapes = (rhs.shape, rhs.dtype), ((), np.int32), ((), bool)
-        results = LinearSolution(*(jax.ShapeDtypeStruct(*shape) for shape in shapes))
+        results = (
+            jax.ShapeDtypeStruct(rhs.shape, rhs.dtype),
+            jax.ShapeDtypeStruct((), np.int32),
+            jax.ShapeDtypeStruct((), bool),
+        )
         s = self.sparsity
         return jax.pure_callback(
             _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
@@ -108,11 +110,10 @@ def _on_host(symmetric, indptr, indices, values, rhs):
             pardiso.remove_stored_factorization()
             if error.value != _ZERO_PIVOT:
                 raise
-            return LinearSolution(np.zeros_like(rhs), np.int32(0), np.bool_(False))
+            return np.zeros_like(rhs), np.int32(0), np.bool_(False)
         regular = pardiso.get_iparm(_PERTURBED) == 0
         n_negative = pardiso.get_iparm(_NEGATIVE) if symmetric else -1
-    x = np.ascontiguousarray(x)
-    return LinearSolution(x, np.int32(n_negative), np.bool_(regular))
+    return np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular)
 
 
 class NoSolver(AbstractLinearSolver):
