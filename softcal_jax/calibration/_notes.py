@@ -2,14 +2,14 @@
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import (
@@ -19,7 +19,8 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
-from softcal_jax.equilibrium import Model
+from softcal_jax.contact import Contacts
+from softcal_jax.equilibrium import ContactState, Model
 from softcal_jax.fields import ParameterSpace, kind_of
 from softcal_jax.inference import (
     UNLIKELY,
@@ -40,6 +41,13 @@ FEWEST = 3  # fewest configurations of which one is left out and predicted by th
 
 FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
+
+SLIDES = 0.05
+"""Share of the contact area that may slide, although it is held [-].
+
+A rim of it always slides, since the pressure vanishes there: the outer 5 % of a Hertz
+contact bear 1 % of its force.
+"""
 
 EQUAL = 1e-6  # difference of scaled parameters below which they count as equal [-]
 
@@ -355,4 +363,37 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
             "configuration). The fit is not unique.",
             CalibrationWarning,
             stacklevel=4,
+        )
+
+
+def contact_doubts(
+    contacts: Contacts, fits: Sequence[ConfigurationResult]
+) -> tuple[str, ...]:
+    """Name the poses where much slides that is held, or the cushion gives way."""
+    felt = (
+        (f'"{fit.name}"', contact)
+        for fit in fits
+        if fit.robot is not None
+        for contact in fit.robot.contacts
+    )
+    return tuple(doubt for pose in felt for doubt in _doubts(contacts, *pose))
+
+
+def _doubts(contacts: Contacts, pose: str, contact: ContactState) -> Iterator[str]:
+    if contact.sliding > SLIDES:
+        friction = contacts.friction[contacts.names.index(contact.name)]
+        yield (
+            f'{pose}: {100.0 * contact.sliding:.0f} % of what touches "{contact.name}" '
+            f"would slide at the coefficient of friction {friction:g}; it is held as "
+            "if it stuck."
+        )
+    scale, depth = float(contacts.scale), float(contact.depth)
+    if depth > scale:
+        E = readable(float(contacts.stiffness), "Pa")
+        yield (
+            f"{pose}: the body lies {readable(depth, 'm')} inside "
+            f'"{contact.name}", deeper than the scale of contact, '
+            f"{readable(scale, 'm')}: the pressure is more than half of {E}, the "
+            "modulus at the start, which contact has. Start with a larger modulus, or "
+            "press less."
         )

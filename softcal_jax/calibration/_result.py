@@ -12,9 +12,8 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._contact_doubts import contact_doubts
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._notes import ResidualChecks
+from softcal_jax.calibration._notes import ResidualChecks, contact_doubts
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.equilibrium import Model, NewtonSettings
