@@ -376,10 +376,14 @@ def contact_doubts(
         if fit.robot is not None
         for contact in fit.robot.contacts
     )
-    return tuple(doubt for pose in felt for doubt in _doubts(contacts, *pose))
+    return tuple(
+        doubt for pose in felt for doubt in _doubts_of_contact(contacts, *pose)
+    )
 
 
-def _doubts(contacts: Contacts, pose: str, contact: ContactState) -> Iterator[str]:
+def _doubts_of_contact(
+    contacts: Contacts, pose: str, contact: ContactState
+) -> Iterator[str]:
     if contact.sliding > SLIDES:
         friction = contacts.friction[contacts.names.index(contact.name)]
         yield (
