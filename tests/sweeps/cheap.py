@@ -94,5 +94,4 @@ if __name__ == "__main__":
         repeats=["draw"],
         workers=int(sys.argv[2]) if here else None,
         scheduler=None if here else sys.argv[2],
-        progress=lambda now: print(now.ended, flush=True),
     )

@@ -2,27 +2,26 @@
 
 import subprocess
 import sys
+import time
 
 import cheap
 
+from softcal_jax.sweeps import read_sweep
+
 
 def started(path, where):
-    """The sweep of `cheap`, once its first rows are there."""
-    driver = subprocess.Popen(
-        [sys.executable, cheap.__file__, str(path), where],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(driver, 3)
+    """The sweep of `cheap`, once its first rows are on the disk."""
+    driver = subprocess.Popen([sys.executable, cheap.__file__, str(path), where])
+    wait_for(driver, path, 3)
     return driver
 
 
-def wait_for(driver, rows):
-    """Wait until a sweep has so many rows."""
-    assert driver.stdout is not None
-    for line in driver.stdout:
-        if int(line) >= rows:
+def wait_for(driver, path, rows):
+    """Wait until a sweep has so many rows on the disk."""
+    while driver.poll() is None:
+        if path.exists() and path.stat().st_size and len(read_sweep(path).rows) >= rows:
             return
+        time.sleep(0.02)
     raise AssertionError(f"the sweep ended before it had {rows} rows")
 
 
@@ -30,4 +29,3 @@ def kill(driver):
     """kill -9, which leaves nobody time for anything."""
     driver.kill()
     driver.wait()
-    driver.stdout.close()

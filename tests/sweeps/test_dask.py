@@ -40,7 +40,7 @@ def test_kill_a_worker_and_the_driver_of_a_cluster(cluster, tmp_path):
     driver = started(path, address)
     before = processes(address)
     os.kill(before[0], signal.SIGKILL)
-    wait_for(driver, 8)
+    wait_for(driver, path, 8)
     kill(driver)
     left = read_sweep(path)
     assert 8 <= len(left.rows) < 24
