@@ -57,11 +57,11 @@ def test_what_is_drawn_is_the_surface(shape):
 def test_a_surface_of_a_file_is_a_smooth_distance(tmp_path):
     ball = pv.Sphere(radius=10.0, theta_resolution=120, phi_resolution=120)
     ball.save(tmp_path / "ball.stl")
-    grid = read_surface(tmp_path / "ball.stl", length_unit=1e-3, points=40)
+    grid = read_surface(tmp_path / "ball.stl", length_unit=1e-3)
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(200, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    points = jnp.asarray(ways * rng.uniform(8e-3, 11e-3, (200, 1)))
+    points = jnp.asarray(ways * rng.uniform(5e-3, 11e-3, (200, 1)))
     distance, normal = jax.vmap(jax.value_and_grad(grid.distance))(points)
     wanted = np.linalg.norm(points, axis=1) - 0.01
     np.testing.assert_allclose(distance, wanted, atol=1e-5)
