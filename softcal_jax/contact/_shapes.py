@@ -295,7 +295,7 @@ def read_surface(
     # Far from the surface, where VTK takes longest, every fourth point is enough, with
     # two more around for the ends of the spline.
     cells = np.indices((*shape,))
-    coarse = np.indices((*(-(-(shape - 1) // 4) + 5),))
+    coarse = np.indices((*((shape + 2) // 4 + 5),))
     values = distances(origin + 4 * spacing * (coarse.reshape(3, -1).T - 2))
     values = ndimage.map_coordinates(values.reshape(coarse.shape[1:]), cells / 4 + 2)
     near = np.abs(values) < 8 * spacing
