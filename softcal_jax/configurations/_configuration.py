@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.bodies import KINDS, BodyStateArrays, optional, three_numbers
 from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
@@ -45,9 +45,14 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s2]."""
 
 
-def _as_supports(given: str | Support | Iterable[str | Support]) -> tuple[Support, ...]:
-    several = [given] if isinstance(given, str | Support) else given
-    return tuple(Support(s) if isinstance(s, str) else s for s in several)
+NodesOrGroup = str | Int[HostArray, " n"]
+
+
+def _as_supports(
+    given: Support | NodesOrGroup | Iterable[Support | NodesOrGroup],
+) -> tuple[Support, ...]:
+    several = [given] if isinstance(given, str | Support | np.ndarray) else given
+    return tuple(s if isinstance(s, Support) else Support(s) for s in several)
 
 
 def _as_loads(loads: AbstractLoad | Iterable[AbstractLoad]) -> tuple[AbstractLoad, ...]:
@@ -59,7 +64,8 @@ class Configuration(Module):
 
     Attributes:
         name: Name in results, tables and pictures.
-        supports: How the body is held: one or several; the name of a group clamps it.
+        supports: How the body is held: one or several; the name of a group, or an array
+            of node indices, clamps it.
         gravity: Acceleration of gravity, in the frame of the mesh [m/s2].
         loads: Dead loads, one or several.
         markers: Points that are measured or followed; may be left out.

@@ -115,11 +115,14 @@ def test_bad_configurations():
         Configuration("one", (CLAMP,), gravity=(0.0, 0.0, np.inf))
 
 
-@pytest.mark.parametrize("supports", [CLAMP, "x_min", ["x_min"], (CLAMP,), [CLAMP]])
-def test_one_support_or_the_name_of_a_group(supports):
+ONE = [CLAMP, "x_min", ["x_min"], (CLAMP,), [CLAMP], X_MIN, [X_MIN]]
+
+
+@pytest.mark.parametrize("supports", ONE)
+def test_one_support_or_its_nodes(supports):
     configuration = Configuration("one", supports)
-    assert configuration.supports == (CLAMP,)
     fixed = configuration_arrays(MESH, [configuration]).fixed[0]
+    assert fixed[X_MIN].all()
     np.testing.assert_array_equal(np.flatnonzero(fixed.any(axis=1)), X_MIN)
 
 
@@ -142,3 +145,9 @@ def test_one_load():
 def test_bad_nodes(where, message):
     with pytest.raises(ValueError, match=message):
         one(CLAMP, Support(where))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_numbers_are_no_supports():
+    with pytest.raises(ValueError, match=r"list of integer node indices, got int64"):
+        one(*X_MIN.tolist())
