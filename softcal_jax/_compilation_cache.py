@@ -19,6 +19,12 @@ import platformdirs
 from softcal_jax._warnings import SoftcalWarning
 
 LARGEST = 2_000_000_000  # size above which the least recently used programs go [bytes]
+HAS_OLDER_CODE = jax.__version_info__ < (0, 11, 1)
+"""Whether XLA still has the older code for fused loops on a CPU, and the flag for it.
+
+Later versions end the process at a flag that they do not know.
+"""
+
 _EMITTERS = "--xla_cpu_use_fusion_emitters"
 _QUICKLY = f"{_EMITTERS}=0"  # a user's own "=false" stays
 
@@ -46,10 +52,10 @@ def use_compilation_cache(
     Args:
         folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the
             user's cache.
-        quickly: Whether XLA compiles fused loops on a CPU by older code, unless
-            XLA_FLAGS says otherwise. That takes less time, but programs run slower, so
-            workers of sweeps do not. A batch of `vmap` may then differ from its members
-            in the last bit.
+        quickly: Whether XLA compiles fused loops on a CPU by older code, if it has it
+            (up to JAX 0.11.0) and XLA_FLAGS does not say otherwise. That takes less
+            time, but programs run slower, so workers of sweeps do not. A batch of
+            `vmap` may then differ from its members in the last bit.
 
     Returns:
         The absolute path of the folder. None if JAX_ENABLE_COMPILATION_CACHE=0 switched
@@ -57,7 +63,8 @@ def use_compilation_cache(
         with one `CompilationCacheWarning`, if the folder is refused.
     """
     flags = os.environ.get("XLA_FLAGS", "").replace(_QUICKLY, "").strip()
-    if quickly and _EMITTERS not in flags and flags[:1] in ("", "-"):  # no file
+    quickly = quickly and HAS_OLDER_CODE and _EMITTERS not in flags
+    if quickly and flags[:1] in ("", "-"):  # no file
         flags = f"{flags} {_QUICKLY}".strip()
     os.environ["XLA_FLAGS"] = flags
     if not jax.config.values["jax_enable_compilation_cache"]:

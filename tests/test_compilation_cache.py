@@ -334,6 +334,10 @@ def test_programs_compile_quickly_unless_told_otherwise(
     config, tmp_path, monkeypatch, stated, expected
 ):
     monkeypatch.setenv("XLA_FLAGS", stated)
+    monkeypatch.setattr(_compilation_cache, "HAS_OLDER_CODE", False)
+    use_compilation_cache(tmp_path)
+    assert os.environ["XLA_FLAGS"] == stated
+    monkeypatch.setattr(_compilation_cache, "HAS_OLDER_CODE", True)
     for _ in range(2):  # as in a shell that runs commands
         use_compilation_cache(tmp_path)
     assert os.environ["XLA_FLAGS"] == expected

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
 
+from softcal_jax._compilation_cache import HAS_OLDER_CODE
 from softcal_jax._lanes import stacked
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -29,7 +30,10 @@ TIGHT = NewtonSettings(rtol=1e-12)
 
 # Compiled as a user has it who has not called `use_compilation_cache`: as by it, and as
 # in other tests, a batch differs from its members in the last bit.
-@partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": True})
+@partial(
+    jax.jit,
+    compiler_options={"xla_cpu_use_fusion_emitters": True} if HAS_OLDER_CODE else {},
+)
 def _as_users(model, lanes, settings):
     one = partial(solve_equilibrium, settings=settings)
     return jax.vmap(one, in_axes=(None, 0))(model, lanes)
