@@ -43,9 +43,8 @@ from softcal_jax.configurations import (
     Support,
     configuration_arrays,
 )
-from softcal_jax.contact import Ball, RoundedCylinder
+from softcal_jax.contact import Ball, ContactState, RoundedCylinder
 from softcal_jax.equilibrium import (
-    ContactState,
     EquilibriumSolution,
     Model,
     NewtonSettings,

@@ -5,8 +5,8 @@ import numpy as np
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
-from softcal_jax.contact import Ball, HalfSpace
-from softcal_jax.equilibrium import BodyPlace, ContactState, RobotState, build_model
+from softcal_jax.contact import Ball, ContactState, HalfSpace
+from softcal_jax.equilibrium import BodyPlace, RobotState, build_model
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 

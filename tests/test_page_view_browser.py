@@ -77,6 +77,7 @@ def test_it_draws_what_is_chosen_and_turns_by_keys(page):
         choose(tab, "configuration", 1)
         other = seen(tab)
         assert share_of_changed_pixels(first, other) > 0.05
+        choose(tab, "field", 0)
         said = tab.ask("document.getElementById('view-area').ariaLabel")
         assert says(said, "held out (held out) ... displacement")
         assert "8.00 mm before" in tab.ask(
@@ -117,6 +118,7 @@ def test_the_field_is_the_one_of_the_colour_bar(page):
         tab.resize(1200)
         for name in ("markers", "names", "rest"):
             tab.ask(f"document.getElementById('view-{name}').click()")
+        choose(tab, "field", 0)
         choose(tab, "direction", 3)  # from +y, so that x points to the left
         pixels = seen(tab)
         rows, columns = np.nonzero(np.ptp(pixels, axis=-1) > 40)

@@ -19,8 +19,8 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
-from softcal_jax.contact import Contacts
-from softcal_jax.equilibrium import ContactState, Model
+from softcal_jax.contact import Contacts, ContactState
+from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, kind_of
 from softcal_jax.inference import (
     UNLIKELY,

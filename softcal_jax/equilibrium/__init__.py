@@ -1,7 +1,6 @@
 """Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
 
 from softcal_jax._results import RESULTS as RESULTS
-from softcal_jax.contact import ContactState as ContactState
 from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
     add_weighted as add_weighted,

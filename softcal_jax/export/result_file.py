@@ -11,10 +11,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from softcal_jax import calibration
 from softcal_jax.calibration import CorrelatedNoise, LeftOut
 from softcal_jax.configurations import EffectorRecord
+from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium import (
     ActuatorState,
     BodyPlace,
-    ContactState,
     Reaction,
     RobotState,
 )

@@ -10,8 +10,8 @@ from scipy.spatial.distance import cdist
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.bodies import BodyStateArrays
 from softcal_jax.configurations import standing
-from softcal_jax.contact import HalfSpace
-from softcal_jax.equilibrium import ContactState, Model, RobotState
+from softcal_jax.contact import ContactState, HalfSpace
+from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.export import readable_values
 from softcal_jax.plotting._figure import FAINT, OBSTACLE, Axes, draw_name, draw_patch
 from softcal_jax.plotting._view import View

@@ -17,7 +17,8 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.equilibrium import ActuatorState, ContactState, Model, RobotState
+from softcal_jax.contact import ContactState
+from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._verdict import TONES, listed_fits, value_of
