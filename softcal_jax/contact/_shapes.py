@@ -289,8 +289,8 @@ def read_surface(
     surface = surface.compute_normals(auto_orient_normals=True)
 
     def distances(points: np.ndarray) -> np.ndarray:
-        found = pv.PolyData(points).compute_implicit_distance(surface)
-        return np.asarray(found["implicit_distance"], float)
+        asked = pv.PolyData(points).compute_implicit_distance(surface)
+        return np.asarray(asked["implicit_distance"], float)
 
     # Far from the surface, where VTK takes longest, every fourth point is enough, with
     # two more around for the ends of the spline.
