@@ -38,6 +38,8 @@ import typechecking
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# Nobody reads which lines of Python an operation of a compiled program comes from.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # And some of it into a search for garbage among what has been traced.
