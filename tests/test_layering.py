@@ -188,7 +188,7 @@ def test_the_walk_sees_imports():
 
 def test_packages_offer_their_names_as_themselves():
     """So that type checkers and readers know a name that is offered from one in use."""
-    for init in ROOT.glob("*/**/__init__.py"):
+    for init in ROOT.glob("**/__init__.py"):
         package = ".".join(init.parent.relative_to(ROOT.parent).parts)
         for node in ast.parse(init.read_text()).body:
             if isinstance(node, ast.ImportFrom):

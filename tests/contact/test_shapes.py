@@ -67,11 +67,22 @@ def test_a_surface_of_a_file_is_a_smooth_distance(tmp_path):
     np.testing.assert_allclose(distance, wanted, atol=1e-5)
     np.testing.assert_allclose(normal, ways, atol=0.03)
     # Across a face of its cells value, slope and curvature stay what they are.
-    face = grid.origin + grid.spacing * np.array([20.0, 12.0, 30.0])
+    face = grid.origin + grid.spacing * np.array([30.0, 12.0, 40.0])
     values = [
         jax.hessian(grid.distance)(jnp.asarray(face + step)) for step in (-1e-12, 1e-12)
     ]
     np.testing.assert_allclose(*values, atol=1e-4 * np.abs(values[0]).max())
+
+
+def test_a_plate_of_a_file_may_be_thinner_than_two_spacings(tmp_path):
+    pv.Box((0.0, 1.0, 0.0, 1.0, 0.0, 0.02)).triangulate().save(tmp_path / "plate.stl")
+    grid = read_surface(tmp_path / "plate.stl")
+    assert 0.02 < 2.0 * grid.spacing
+    # Nearer, the spline rounds the kink in the middle of the plate.
+    heights = np.linspace(1.0, 7.0, 19) * grid.spacing
+    points = np.array([0.31, 0.57, 0.02]) + heights[:, None] * np.eye(3)[2]
+    distance = np.asarray(jax.vmap(grid.distance)(jnp.asarray(points)))
+    np.testing.assert_allclose(distance, heights, atol=0.03 * grid.spacing)
 
 
 def test_an_open_surface_is_refused(tmp_path):
