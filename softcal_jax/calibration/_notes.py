@@ -368,17 +368,11 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
 
 def contact_doubts(
     contacts: Contacts, fits: Sequence[ConfigurationResult]
-) -> tuple[str, ...]:
+) -> Iterator[str]:
     """Name the poses where much slides that is held, or the cushion gives way."""
-    felt = (
-        (f'"{fit.name}"', contact)
-        for fit in fits
-        if fit.robot is not None
-        for contact in fit.robot.contacts
-    )
-    return tuple(
-        doubt for pose in felt for doubt in _doubts_of_contact(contacts, *pose)
-    )
+    for fit in fits:
+        for contact in () if fit.robot is None else fit.robot.contacts:
+            yield from _doubts_of_contact(contacts, f'"{fit.name}"', contact)
 
 
 def _doubts_of_contact(

@@ -351,7 +351,7 @@ class CalibrationResult(Result):
         """
         of_body = tuple(doubt for fit in self.configurations for doubt in fit.doubts)
         contacts = self.model.mechanism.contacts
-        return contact_doubts(contacts, self.configurations) + of_body
+        return *contact_doubts(contacts, self.configurations), *of_body
 
     @property
     def missed(self) -> float:
