@@ -13,7 +13,7 @@ import numpy as np
 from softcal_jax._files import digest_of
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -39,6 +39,9 @@ from softcal_jax.sensitivity import (
     energy_compliance,
     equilibrium_response,
 )
+
+MOST_WITHOUT = 50
+"""Newton iterations after which a state without actuation is given up."""
 
 _FROM_REST, MOST_KEPT = dict[Hashable, Response](), 4
 """Responses at the last starts, kept for fits to other data, and how many are kept."""
@@ -121,6 +124,16 @@ def weighed(
 @eqx.filter_jit
 def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
+
+
+def _known(
+    configurations: ConfigurationArrays, solution: EquilibriumSolution
+) -> list[Known]:
+    """Return the equilibria that were found, with their configurations."""
+    return [
+        Known(configurations[c], lane_of(solution.displacement, c))
+        for c in np.flatnonzero(np.asarray(solution.converged)).tolist()
+    ]
 
 
 class Evaluator:
@@ -257,10 +270,7 @@ class Evaluator:
             return self._of_specimens(z, report, lanes, **more)
         (model, configurations), newton = self.posed(z), self.problem.newton
         if known is not None:
-            more["known"] = [
-                Known(configurations[c], lane_of(known.displacement, c))
-                for c in np.flatnonzero(np.asarray(known.converged)).tolist()
-            ]
+            more["known"] = _known(configurations, known)
         if lanes is not None:
             configurations = lane_of(configurations, np.asarray(lanes))
         run = self.workers, model, configurations, newton
@@ -294,6 +304,32 @@ class Evaluator:
             first = first or solution
             solved |= {k: lane_of(solution, i) for i, k in enumerate(of_row)}
         return stacked([solved[k] for k in range(len(every))])
+
+    def without_forces(
+        self, z: Float[Array, " n_p"], solution: EquilibriumSolution
+    ) -> list[tuple[list[int], Float[HostArray, "n_points 3"]]]:
+        """Solve lanes in which actuators exert forces as if they did not.
+
+        Lanes that differ in these forces and in what was measured alone are one: their
+        indices stand beside the displacement [m]. Those without an equilibrium, with or
+        without forces, are left out.
+        """
+        model, configurations = self.posed(z)
+        acts = np.any(np.asarray(configurations.actuation.forces) != 0.0, axis=1)
+        others = lambda c: (c.key, c.effectors.measured, c.effectors.inverse_std)
+        alike: dict[str, list[int]] = {}
+        for c in np.flatnonzero(acts & np.asarray(solution.converged)).tolist():
+            lane = eqx.tree_at(others, configurations[c].without_forces(), (None,) * 3)
+            alike.setdefault(digest_of(jax.tree.leaves(lane)), []).append(c)
+        bare = [configurations[c].without_forces() for c, *_ in alike.values()]
+        if not bare:
+            return []
+        newton = replace(self.problem.newton, max_steps=MOST_WITHOUT)
+        known = _known(configurations, solution)
+        solved = equilibria(self.workers, model, bare, newton, known=known)
+        states = map(np.asarray, (solved.displacement, solved.converged))
+        each = zip(alike.values(), *states, strict=True)
+        return [(poses, u) for poses, u, converged in each if converged]
 
     def effectors(
         self, z: Float[Array, " n_p"], solution: EquilibriumSolution

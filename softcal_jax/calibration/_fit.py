@@ -150,10 +150,18 @@ def _with_budget(
     """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
     taken, n_fitted = solved.journal.history[-1].seconds, len(task.fitted)
     z, solution = solved.weighed.state.z, solved.predicted.response.equilibrium
-    options = {"z": z, "equilibrium": solution, "n_fitted": n_fitted}
     try:
         watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-        return _result(task, solved, considered_errors(workers, setting, **options))
+        evaluate = Evaluator(solved.predicted.problem, workers)
+        considered = considered_errors(
+            workers,
+            setting,
+            z=z,
+            equilibrium=solution,
+            without_forces=evaluate.without_forces(z, solution),
+            n_fitted=n_fitted,
+        )
+        return _result(task, solved, considered)
     except KeyboardInterrupt:
         notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
         return replace(so_far(), notes=notes, interrupted=True)

@@ -115,7 +115,7 @@ class ActuationArrays(Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
-    def forces(self) -> Float[Array, " n_a"]:
+    def forces(self) -> Float[Array, "*batch n_a"]:
         """Forces lambda_a at full load where they are imposed, 0 elsewhere."""
         given = jnp.asarray(self.force_factor) * jnp.asarray(self.value)
         return jnp.where(jnp.asarray(self.by_displacement), 0.0, given)
@@ -234,6 +234,12 @@ class ConfigurationArrays(Module):
         if any(map(is_traced, jax.tree.leaves(self))):
             return jax.tree.map(lambda leaf: leaf[index], self)
         return lane_of(self, index)
+
+    def without_forces(self) -> "ConfigurationArrays":
+        """Return it with zero in place of the forces imposed on actuators."""
+        acting = self.actuation
+        value = np.where(acting.by_displacement, acting.value, 0.0)
+        return eqx.tree_at(lambda c: c.actuation.value, self, value)
 
     @property
     def acceleration(self) -> Float[Array, "3"]:

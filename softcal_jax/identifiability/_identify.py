@@ -281,7 +281,12 @@ def survey(
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
         considered = considered_errors(
-            workers, setting, z=z, equilibrium=solution, n_fitted=len(names)
+            workers,
+            setting,
+            z=z,
+            equilibrium=solution,
+            without_forces=evaluator.without_forces(z, solution),
+            n_fitted=len(names),
         )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)

@@ -65,6 +65,7 @@ from softcal_jax.mesh._topology import (
     surface_shares as surface_shares,
     tessellate as tessellate,
     tet_faces as tet_faces,
+    thin_share as thin_share,
     volumes as volumes,
 )
 from softcal_jax.mesh._voxels import Filling as Filling, Grid as Grid, fill as fill

@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import (
@@ -174,6 +175,32 @@ def surface_shares(
     out = np.zeros(mesh.n_nodes)
     np.add.at(out, faces, face_shares(mesh, faces))
     return out
+
+
+def thin_share(mesh: TetMesh) -> float:
+    """Compute the share of the surface whose wall is one or two tets thick [-].
+
+    Its nodes reach the other side of the wall, which faces away from them, over two
+    edges of tets.
+    """
+    faces = boundary_faces(mesh)[:, :3]
+    a, b, c = np.moveaxis(mesh.points[faces], 1, 0)
+    cross = np.cross(b - a, c - a)
+    normal, area = np.zeros((mesh.n_nodes, 3)), np.zeros(mesh.n_nodes)
+    np.add.at(normal, faces, cross[:, None])
+    np.add.at(area, faces, np.linalg.norm(cross, axis=1)[:, None])
+    outer = np.flatnonzero(area)
+    normal = normal[outer] / np.linalg.norm(normal[outer], axis=1, keepdims=True)
+    ends = mesh.tets[:, np.array(TET_EDGES)].reshape(-1, 2)
+    ones, shape = np.ones(len(ends), bool), (mesh.n_nodes, mesh.n_nodes)
+    edges = csr_array((ones, (ends[:, 0], ends[:, 1])), shape)
+    edges = (edges + edges.T)[outer]
+    near, across = (edges @ edges.T + edges[:, outer]).nonzero()
+    way = mesh.points[outer[across]] - mesh.points[outer[near]]
+    inwards = -np.sum(way * normal[near], axis=1) > 0.5 * np.linalg.norm(way, axis=1)
+    away = np.sum(normal[near] * normal[across], axis=1) < -0.5
+    thin = np.unique(near[inwards & away])
+    return float(area[outer[thin]].sum() / area.sum())
 
 
 PARTS = 4

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     InputRows,
@@ -23,7 +23,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import ErrorColumns
 from softcal_jax.sensitivity import parameter_rows
-from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
+from softcal_jax.unknowns._unknowns import MESH, Setting, Unknown, unknowns
 
 
 def considered_errors(
@@ -32,21 +32,40 @@ def considered_errors(
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
+    without_forces: Sequence[tuple[list[int], Float[HostArray, "n_points 3"]]],
     n_fitted: int,
 ) -> ErrorColumns:
     """Compute W_c: change of the rows per standard deviation of each error.
 
     In stated standard deviations of the rows; the first `n_fitted` configurations were
-    fitted.
+    fitted. A mesh can be too soft for weight and too stiff for pressure, and the sum
+    would say that it is right. So what the forces of actuators add to its error is an
+    error of its own, see `Evaluator.without_forces`.
     """
-    weight = np.asarray(setting.arrays.effectors.inverse_std)
-    work = _work(setting, z, equilibrium.displacement)
-    columns = np.zeros((len(work.errors), len(weight), weight[0].size))
-    for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
-        columns[:, c] = np.asarray(of_pose).T
-    for column, error in zip(columns, work.errors, strict=True):
+    arrays = setting.arrays
+    weight = np.asarray(arrays.effectors.inverse_std)
+    displacements = np.asarray(equilibrium.displacement)
+    states = [*enumerate(zip(arrays, displacements, strict=True))]
+    for (c, *_), u in without_forces:
+        states.append((c, (arrays[c].without_forces(), u)))
+    work = _work(setting, z, states)
+    errors = work.errors
+    columns = np.zeros((len(errors), len(states), weight[0].size))
+    for k, of_state in enumerate(workers.map(work.program, work.lanes)):
+        columns[:, k] = np.asarray(of_state).T
+    columns, alone = np.split(columns, [len(weight)], axis=1)
+    for k in [k for k, error in enumerate(errors) if error.cause == MESH]:
+        added, scope = np.zeros(columns[k].shape), np.full(len(weight), None)
+        for (poses, _), of_loads in zip(without_forces, alone[k], strict=True):
+            if np.isfinite(of_loads).all():
+                added[poses], scope[poses] = columns[k, poses] - of_loads, ""
+        columns = np.concatenate([columns, added[None]])
+        columns[k] -= added
+        name = f"{errors[k].name} by actuation"
+        errors = (*errors, errors[k]._replace(name=name, scope=tuple(scope)))
+    for column, error in zip(columns, errors, strict=True):
         column *= 1.0 if error.row is None else error.prior
-    return where_shared(work.errors, columns, n_fitted, weight)
+    return where_shared(errors, columns, n_fitted, weight)
 
 
 def where_shared(
@@ -71,19 +90,25 @@ def compile_considered(
     workers: Workers, setting: Setting, z: Float[Array, " n_p"]
 ) -> None:
     """Compile what `considered_errors` runs, while what comes before it still runs."""
-    rest = np.zeros((len(setting.configurations), setting.model.n_points, 3))
-    workers.ahead(lambda: _work(setting, z, rest)[1:])
+    rest = np.zeros((setting.model.n_points, 3))
+    workers.ahead(lambda: _work(setting, z, [(0, (setting.arrays[0], rest))])[1:])
 
 
 class _Work(NamedTuple):
-    """A program that runs for each configuration, as if it had every error."""
+    """A program that runs for each state, as if its configuration had every error."""
 
     errors: tuple[Unknown, ...]
     program: Program
     lanes: list[tuple]
 
 
-def _work(setting: Setting, z, displacement) -> _Work:
+def _work(
+    setting: Setting,
+    z: Float[Array, " n_p"],
+    states: Sequence[
+        tuple[int, tuple[ConfigurationArrays, Float[HostArray, "n_points 3"]]]
+    ],
+) -> _Work:
     considered = [u for u in unknowns(setting) if u.role == "considered"]
     errors = tuple(u for u in considered if u.happens or u.row is None)
     if not any(error.happens for error in errors):
@@ -97,10 +122,10 @@ def _work(setting: Setting, z, displacement) -> _Work:
         (
             tuple(jax.device_put(of_pose[c]) for of_pose in data),
             z,
-            lane_of(setting.arrays, c),
-            lane_of(displacement, c),
+            lane,
+            jax.device_put(u),
         )
-        for c in range(len(displacement) if some else 0)
+        for c, (lane, u) in (states if some else ())
     ]
     shared = setting.model, setting.space.numbered, space, rows
     return _Work(errors, Program(_of_pose, *shared), lanes)

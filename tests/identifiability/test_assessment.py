@@ -347,7 +347,7 @@ def test_two_quadratic_tets_across_are_few(good, across, error, doubted):
     refinement = Cause(MESH, ("refinement",), np.array([[error], [0.01]]))
     budget = replace(good.budget, causes=(refinement,))
     reasons = assess(replace(good, model=model, budget=budget)).reasons
-    few = [reason for reason in reasons if "two quadratic tets across" in reason]
+    few = [reason for reason in reasons if "two quadratic tets thick" in reason]
     assert bool(few) == doubted
     assert not few or says(few, "E of root may be off by 18 %", "Refine")
 

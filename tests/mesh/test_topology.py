@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from softcal_jax.mesh import TetMesh, beam, boundary_faces, to_quadratic, volumes
+from softcal_jax.mesh import (
+    TetMesh,
+    beam,
+    boundary_faces,
+    thin_share,
+    to_quadratic,
+    volumes,
+)
 
 POINTS = np.vstack([np.zeros(3), np.eye(3)])
 
@@ -53,3 +60,27 @@ def test_volume_of_a_curved_tet_is_exact():
     exact = (1.0 - d - e) / 6.0 + 16.0 * d * e / 120.0
     curved = TetMesh(points, mesh.tets)
     np.testing.assert_allclose(volumes(curved), exact, rtol=1e-14)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(
+    ("across", "least", "most"),
+    [((1, 1), 1.0, 1.0), ((2, 2), 0.9, 1.0), ((3, 3), 0.0, 0.0), ((5, 5), 0.0, 0.0)],
+)
+def test_walls_of_two_tets_are_thin(across, least, most, order):
+    """All of a slender beam but the middle of its ends."""
+    size = [0.01 * n for n in across]
+    share = thin_share(beam(0.1, *size, (10, *across), order=order))
+    assert least - 1e-9 < share < most + 1e-9
+
+
+def test_the_wall_of_a_cavity_is_thin_though_its_other_side_is_not():
+    """Below it the block is four tets thick, and around its ends three."""
+    full = beam(1.2, 0.7, 0.8, (12, 7, 8))
+    x, y, z = full.centroids.T
+    inside = (
+        (np.abs(x - 0.6) < 0.3) & (np.abs(y - 0.35) < 0.05) & (np.abs(z - 0.6) < 0.1)
+    )
+    mesh = TetMesh(full.points, full.tets[~inside])
+    assert thin_share(full) == 0.0
+    assert 0.05 < thin_share(mesh) < 0.3

@@ -56,8 +56,11 @@ def posed(law, formulation="auto", cells=(7, 2, 2), at=TIP, order=2, **more):
     return build_problem(model, space, [pose]), [pose]
 
 
-def considered_at_start(problem, configurations):
-    """Readings at the start, and what is said to be wrong with them."""
+def considered_at_start(problem, configurations, apart=True):
+    """Readings at the start, and what is said to be wrong with them.
+
+    `apart` tells forces of actuators from the rest.
+    """
     z = problem.space.start()
     with Workers(problem.model, len(configurations)) as workers:
         evaluator = Evaluator(problem, workers)
@@ -72,7 +75,12 @@ def considered_at_start(problem, configurations):
         read = evaluator.effectors(z, equilibrium)
         n_c = len(configurations)
         errors = considered_errors(
-            workers, setting, z=z, equilibrium=equilibrium, n_fitted=n_c
+            workers,
+            setting,
+            z=z,
+            equilibrium=equilibrium,
+            without_forces=evaluator.without_forces(z, equilibrium) if apart else [],
+            n_fitted=n_c,
         )
         return read, errors
 
@@ -81,7 +89,7 @@ def both_by_pose(problem, configurations):
     """Readings at the start, and what the mesh is said to do to them."""
     read, errors = considered_at_start(problem, configurations)
     n_c = len(configurations)
-    return read, errors.of(MESH).reshape(n_c, -1)
+    return read, errors.of(MESH).sum(axis=1).reshape(n_c, -1)
 
 
 def errors_of(problem, configurations):
@@ -270,6 +278,33 @@ def test_readings_change_like_this_on_a_finer_mesh(order, setup):
     size, said = np.linalg.norm(off), np.linalg.norm(std)
     assert 0.5 * said < size < 2.0 * said
     assert off @ std > 0.95 * size * said
+
+
+def test_actuation_has_an_error_of_its_own():
+    """That of the weight is the one of the pose without it, and both sum to it all."""
+    mesh = beam(0.1, 0.02, 0.02, (4, 1, 1), order=1)
+    model = build_model(mesh, NeoHookean(2e5, 0.3), density=1000.0, actuators=[CABLE])
+    pulled = Configuration(
+        "pulled",
+        *HANGING,
+        markers=Markers(["m"], [(0.1, 0.01, 0.01)], 1e-4),
+        measured=np.zeros((1, 3)),
+        actuation={"cable": ImposedForce(0.5)},
+    )
+    hanging = replace(pulled, name="hanging", actuation={"cable": ImposedForce(0.0)})
+    poses = [pulled, replace(hanging, name="idle", gravity=(0.0, 0.0, 0.0)), hanging]
+    space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
+    problem = build_problem(model, space, poses, NewtonSettings(rtol=1e-10))
+    _, errors = considered_at_start(problem, poses)
+    _, together = considered_at_start(problem, poses, apart=False)
+    assert errors.names == ("locking", "locking by actuation")
+    assert set(errors.causes) == {MESH}
+    of_weight, by_cable = errors.values.T.reshape(2, 3, 3)
+    np.testing.assert_allclose(of_weight[0], of_weight[2], rtol=1e-6)
+    assert np.all(by_cable[1:] == 0.0)
+    sums = np.ravel(of_weight + by_cable)
+    np.testing.assert_allclose(sums, together.values[:, 0], rtol=1e-12, atol=1e-15)
+    assert np.linalg.norm(by_cable[0]) > 0.1 * np.linalg.norm(of_weight[0])
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
