@@ -28,7 +28,9 @@ def readable_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 
 def readable(value: float, unit: str) -> str:
-    """Format an SI value in a readable unit, like "263.8 kPa"."""
+    """Format an SI value in a readable unit, like "263.8 kPa"; nan is "unknown"."""
+    if math.isnan(value):
+        return "unknown"
     factor, shown = readable_unit([value], unit)
     return f"{factor * value:.6g} {shown}".rstrip()
 
@@ -58,15 +60,20 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
 
 
 def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
-    """Format one SI value or several in a readable unit, with so many digits."""
+    """Format one SI value or several in a readable unit, with so many digits.
+
+    A nan among several is "-", as in a goal; if none is known, it is "unknown".
+    """
+    if len(values) and all(map(math.isnan, values)):
+        return "unknown"
     factor, shown = readable_unit(values, unit)
     finite = [abs(factor * value) for value in values if math.isfinite(value)]
     largest = max(finite, default=0.0)
     if largest == 0.0:
         factor, shown = 1.0, unit  # all zero: no prefix reads better
     # Values far below the largest are rounding errors, like 1e-13 N beside 2 N.
-    kept = [v if abs(factor * v) > 1e-6 * largest else 0.0 for v in values]
-    texts = [f"{factor * value:.{digits}g}" for value in kept]
+    kept = [0.0 if abs(factor * v) <= 1e-6 * largest else v for v in values]
+    texts = [f"{factor * v:.{digits}g}" if not math.isnan(v) else "-" for v in kept]
     listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
     return f"{listed} {shown}"
 

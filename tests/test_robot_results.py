@@ -282,6 +282,8 @@ def test_a_fit_of_lengths_alone_shows_its_cost():
         ([0.05], "N m", "50 N mm"),
         ([4e-6], "m3", "4 ml"),
         ([3e-8], "m3", "30 mm3"),
+        ([np.nan], "m", "unknown"),
+        ([2e-3, np.nan, 0.0], "m", "(2, -, 0) mm"),
     ],
 )
 def test_values_as_a_person_reads_them(values, unit, text):

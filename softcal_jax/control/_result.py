@@ -60,7 +60,7 @@ class GoalFit(Module):
     @property
     def residual(self) -> Float[HostArray, " k"]:
         """Reached minus goal, 0 for coordinates without a goal."""
-        return self.effector.error(self.reached)
+        return np.where(self.effector.seen, self.effector.residual, 0.0)
 
     @property
     def in_std(self) -> Float[HostArray, " k"]:
@@ -196,7 +196,7 @@ class InverseResult(Result):
     def unmet(self) -> tuple[GoalFit, ...]:
         """Goals that are not met, the farthest first, in standard deviations."""
         error = lambda fit: np.max(np.abs(fit.in_std), initial=0.0)
-        missed = [fit for fit in self.goals if error(fit) > self.tol]
+        missed = [fit for fit in self.goals if not error(fit) <= self.tol]
         return tuple(sorted(missed, key=error, reverse=True))
 
     @property

@@ -229,6 +229,8 @@ class ErrorBudget(Module):
         first = {cause.name: cause.errors[0] for cause in self.causes}
         remedies = (REMEDIES.get(key) for key in (first.get(worst, ""), worst))
         remedy = next(filter(None, remedies), f"measure {worst} better")
+        if not np.isfinite(self.standard_errors[i]):
+            return f"measure more: {name} has no standard error."
         total, by = (
             self.readable(i, e) for e in (self.standard_errors[i], errors[worst])
         )
@@ -237,6 +239,8 @@ class ErrorBudget(Module):
 
     def readable(self, i: int, std: float) -> str:
         """Write an error, given in SI: in percent, but for angles and offsets."""
+        if np.isnan(std):
+            return "an unknown amount"
         value, unit = abs(float(self.values[i])), self.units[i]
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax import export
-from softcal_jax._text_table import Cell, TextTable, text_table
+from softcal_jax._text_table import Cell, TextTable, or_dash, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration import ConfigurationResult, simulation_result
@@ -182,7 +182,7 @@ def _goals(goals: Sequence[GoalFit]) -> TextTable:
     for fit in goals:
         name = f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
         pair = [_coordinates(fit, x) for x in (fit.effector.measured, fit.reached)]
-        worst = f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}"
+        worst = or_dash(float(np.max(np.abs(fit.in_std), initial=0.0)), ".2g")
         rows.append((name, *pair, fit.off, worst))
     columns = "effector", "goal", "reached", "off by", "standard deviations"
     return text_table("Goals", columns, rows)

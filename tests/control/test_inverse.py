@@ -1,22 +1,28 @@
 """Inverse control of the arm: goals, limits, energy."""
 
+from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import equinox as eqx
 import numpy as np
 import pytest
 from arm import EFFECTORS, REST, arm, check_only, pose, tips
+from export.handmade import make_fit, small_model
 
 from benchmarks._compilations import Compilations
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
+    GoalFit,
+    InverseResult,
     Limits,
     _step as step_module,
     follow_trajectory,
     solve_inverse,
 )
+from softcal_jax.report._goals import _goals
 
 FINE = ControlSettings(tol=1e-6)
 FEW = ControlSettings(other_starts=3)
@@ -216,3 +222,14 @@ def test_search_that_does_not_end_says_so():
         arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings, throw=False
     )
     assert result.outcome == OUTCOMES.max_steps
+
+
+def test_a_start_without_equilibrium_reaches_nothing():
+    """Its goals are not met, and their distance is unknown, not nan or 0."""
+    (point, _) = make_fit(small_model().mesh).points
+    fit = GoalFit(replace(point, simulated=np.full(3, np.nan)))
+    assert InverseResult.unmet.fget(SimpleNamespace(goals=(fit,), tol=0.01)) == (fit,)
+    assert fit.off == "x unknown, y unknown, z unknown"
+    table = "\n".join(_goals([fit]).lines())
+    assert "unknown" in table
+    assert "nan" not in table
