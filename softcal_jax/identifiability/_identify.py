@@ -172,8 +172,8 @@ def identify(
             `measured` is ignored and may be missing.
         at: Scaled values z to linearise at, see `ParameterSpace.to_scaled`; the start
             by default [-].
-        noise: Standard deviation of every measured coordinate; by default that of the
-            markers [m].
+        noise: Standard deviation of each coordinate of markers and other points,
+            instead of their `std` [m]. Angles, lengths and forces keep theirs.
         newton: Settings of the equilibrium.
         uncertain: How well everything that is not calibrated is known; the defaults of
             `Uncertain` by default.
@@ -263,7 +263,9 @@ def survey(
     check_references(configurations, lanes.effectors)
     weight = np.asarray(lanes.arrays.effectors.inverse_std)
     if noise is not None:
-        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
+        is_point = np.arange(weight.shape[1]) < lanes.arrays.effectors.nodes.shape[-2]
+        points = is_point[:, None] & (weight > 0.0)
+        weight = np.where(points, 1.0 / noise, weight)
         weights = lambda arrays: arrays.effectors.inverse_std
         weighed = eqx.tree_at(weights, lanes.arrays, jax.device_put(weight))
         lanes = lanes._replace(arrays=weighed)

@@ -26,7 +26,13 @@ from two_part_beam import (
 from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
-from softcal_jax.configurations import Configuration, Support, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    Support,
+    SupportReaction,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.fields import Parameter, exactly_known
@@ -221,6 +227,19 @@ def test_no_data_is_a_verdict(configurations):
     assert len(outlook.blind) == 2
     assert "Nothing is measured" in str(outlook)
     assert "nan" not in str(outlook)
+
+
+def test_noise_of_points_is_not_that_of_forces():
+    """It is in metres: the load cell under the clamp keeps its own, in newtons."""
+    cell = SupportReaction("cell", "x_min", std=1e-3)
+    ends = Support("x_min"), Support("x_max")
+    hang = replace(pose("hang", ROOT), supports=ends, effectors=(cell,))
+    finer = replace(hang, markers=Markers(("m0",), ROOT, std=STD / 3.0))
+    model = two_part_beam()
+    given = identify(model, SPACE, hang, noise=STD / 3.0)
+    np.testing.assert_allclose(
+        given.spread.errors(), identify(model, SPACE, finer).spread.errors(), rtol=1e-9
+    )
 
 
 def test_one_parameter():
