@@ -72,26 +72,44 @@ class Refitter:
     """Fits changed readings about simulations."""
 
     def __init__(
-        self, space: ParameterSpace, noise: CorrelatedNoise, readings: Readings
+        self,
+        space: ParameterSpace,
+        noise: CorrelatedNoise,
+        readings: Readings,
+        considered: Float[HostArray, "n_measured n_errors"],
     ):
         """Weigh errors as stated: by the noise of a fit, its jitter aside."""
         self.space, self.readings, self._noise = space, readings, noise
         columns = noise.on_host(readings.effectors) * float(np.asarray(noise.jitter))
         self._columns = columns[:, np.any(columns != 0.0, axis=0)]
+        known = np.zeros((columns.shape[0], considered.shape[1]))
+        known[np.ravel(readings.weight > 0.0)] = considered
+        self._all_stated = np.hstack([self._columns, known])
 
     def whiten(self, x: Float[HostArray, "n k"]) -> Float[HostArray, "n k"]:
         """Make the errors of all rows independent."""
         return whitened(self._columns, x)
 
-    def rms(self, fit: Refit) -> float:
-        """Return the root mean square distance of points after a fit [m]."""
-        seen = self.readings.of_points
+    def _off(self, fit: Refit) -> Float[HostArray, "n_c n_rows 3"]:
+        """Return simulated minus changed values after a fit."""
         off, W = self._linear(fit.about, fit.change)
         off = off + W @ fit.step
         if fit.change.free is not None:
             along = (fit.change.free @ fit.along).reshape(off.shape)
-            off += along / np.where(seen, self.readings.weight, 1.0)
-        off = self._noise.without_attachments(self.readings.effectors, off)
+            off += along / np.where(self.readings.of_points, self.readings.weight, 1.0)
+        return off
+
+    def level(self, fit: Refit) -> float:
+        """Return the errors after a fit over those that were stated, all causes [-]."""
+        errors = np.ravel(self.readings.weight * self._off(fit))[:, None]
+        squares = np.sum(whitened(self._all_stated, errors) ** 2)
+        return float(np.sqrt(squares / np.sum(self.readings.weight > 0.0)))
+
+    def rms(self, fit: Refit) -> float:
+        """Return the root mean square distance of points after a fit [m]."""
+        seen = self.readings.of_points
+        effectors = self.readings.effectors
+        off = self._noise.without_attachments(effectors, self._off(fit))
         squares = np.sum(np.where(seen, off, 0.0) ** 2, axis=2)[np.any(seen, axis=2)]
         return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
 

@@ -22,6 +22,9 @@ from softcal_jax.mistakes._statements import Simulator, clamps, forces
 
 CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
 
+AT_NOISE = 3.0
+"""Size of what a mistake leaves, over all stated errors, that is still noise [-]."""
+
 ENOUGH = 1e-2
 """Share of the squares below which no more kinds of mistakes are tried [-]."""
 
@@ -82,10 +85,12 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     these, or lengths, off by a factor of 9.81, 10, 25.4 or 1000; and a clamp that
     reaches up to a marker. After each, the parameters are fitted again to first order.
 
-    A mistake is named if it at least halves the squared residuals, and makes the data
-    likelier by a factor that chance reaches with a probability of `UNLIKELY` at most,
-    whichever of all changes is the best: without a mistake, a given change reaches a
-    likelihood ratio of k with a probability of 1 / k at most (Markov's inequality).
+    A mistake is named if without it the residuals are down to the noise: no more than
+    `AT_NOISE` times what is stated of noise and budget, where a `std` is stated. It
+    also at least halves their squares, and makes the data likelier by a factor that
+    chance reaches with a probability of `UNLIKELY` at most, whichever of all changes is
+    the best: without a mistake, a given change reaches a likelihood ratio of k with a
+    probability of 1 / k at most (Markov's inequality).
     With an estimated noise, that is the ratio of the likelihoods maximised in its
     level. Of mistakes that explain the data as well, the simplest comes first. What the
     parameters make up for, like a factor on all forces beside a modulus, leaves the
@@ -107,7 +112,8 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     problem = problem.of_first(len(fits))
     on_host = jax.tree.map(np.asarray, problem.configurations.effectors)
     readings = Readings(fits, on_host)
-    refitter = Refitter(result.space, result.noise, readings)
+    considered = result.linear.of_fit().considered.values
+    refitter = Refitter(result.space, result.noise, readings, considered)
     W = np.array([fit.W_ep for fit in fits])
     last = Simulated(np.asarray(result.z), readings.simulated, W)
     with Workers(result.model, len(fits)) as workers:
@@ -134,6 +140,8 @@ class _Search:
         """Begin with the readings and statements as they are, at the end of the fit."""
         self.result, self.refitter, self.simulator = result, refitter, simulator
         self.dof = max(result.uncertainty.degrees_of_freedom, 1)
+        posed = [f.posed for f in result.configurations]
+        self.stated = all(p is not None and p.states_noise for p in posed)
         self.changes = [Change("swapped markers", "", 0, refitter.readings.measured)]
         self.simulated: dict[Variant, list[Simulated]] = {(): [last]}
         self.n_considered, self._limit = 0, np.inf
@@ -225,7 +233,10 @@ class _Search:
         """Whether a change explains the data clearly better."""
         least = float(np.log(max(self.n_considered, 1) / UNLIKELY))
         clearly = fit.squares <= CLEARLY * self.as_is.squares
-        return fit.near and clearly and self._evidence(fit, self.as_is) >= least
+        if not (fit.near and clearly and self._evidence(fit, self.as_is) >= least):
+            return False
+        at_noise = not self.stated or self.refitter.level(fit) <= AT_NOISE
+        return at_noise and not self.refitter.rms(fit) > self.refitter.rms(self.as_is)
 
     def named(self) -> tuple[Mistake, ...]:
         """Return the changes that explain the data clearly better."""

@@ -51,6 +51,15 @@ def test_nothing_is_named_where_nothing_is_wrong():
     assert likely_mistakes(fitted(right(robot(), np.random.default_rng(7)))) == ()
 
 
+def test_what_leaves_more_than_noise_is_no_mistake():
+    """Gravity is stated across; reversed, it would leave 29 standard deviations."""
+    read = robot().measured(np.random.default_rng(7))
+    across = tuple(replace(c, gravity=(0.0, 9.81, 0.0)) for c in read)
+    result = fitted(Case(across))
+    assert result.contradicted
+    assert likely_mistakes(result) == ()
+
+
 def test_a_factor_on_all_forces_is_named_only_where_the_bounds_exclude_it():
     """A modulus makes up for it; with a modulus on its bound the data contradict it."""
     alone = [replace(c, gravity=(0.0, 0.0, 0.0), loads=()) for c in robot().poses]
