@@ -53,8 +53,13 @@ def parse_axes(axes: str) -> list[int]:
     return ["xyz".index(letter) for letter in axes]
 
 
-def listed(names: Sequence[str]) -> str:
-    """Join names as in a sentence: "a, b and c"."""
+MOST_NAMED = 6  # most poses or parameters that share a sentence
+
+
+def listed(names: Sequence[str], most: int | None = None) -> str:
+    """Join names as in a sentence: "a, b and c"; beyond `most`, "a, b and 7 more"."""
+    if most is not None and len(names) > most:
+        names = [*names[:most], f"{len(names) - most} more"]
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -198,7 +199,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_the_likeliest_mistake_is_sought_below_the_answer(
+def test_the_likeliest_mistake_stands_before_the_verdict(
     tmp_path, out, capsys, monkeypatch, stopped
 ):
     """Where the data contradict the model; Ctrl-C in the search loses nothing."""
@@ -222,10 +223,22 @@ def test_the_likeliest_mistake_is_sought_below_the_answer(
         assert says(result["notes"], "Interrupted")
     else:
         assert code in (0, 3)
-        assert says(text, "Next: ... Possible mistake: Swapping tip and side would")
+        assert says(text, "Possible mistake: Swapping tip and side would ... values")
         assert says(result["mistakes"], "from 2 mm to 0.1 mm")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert ("Possible mistake" in page) == (not stopped)
+
+
+def test_a_bound_that_the_data_exclude_has_exit_code_3(tmp_path, out, capsys):
+    """They were made with 300 kPa. The verdict stands once, and no number is nan."""
+    path = write_small_project(tmp_path, ('upper = "1 MPa"', 'upper = "250 kPa"'))
+    command = ["calibrate", str(path), "-o", str(out), "--quick", "--no-pictures"]
+    assert main(command) == 3
+    text = "".join(capsys.readouterr())
+    assert text.lower().count("do not use") == 1
+    assert says(text, "Do not use these values: E ended on a bound ... data push")
+    assert says(text, "Next: ... widen the bounds of E")
+    assert not re.search(r"\bnan\b", text)
 
 
 def stands(errors, checkpoint):

@@ -1,6 +1,7 @@
 """The calibration: from measured configurations to parameters and their intervals."""
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._names import check_known
+from softcal_jax._names import check_known, listed
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import (
@@ -23,8 +24,16 @@ from softcal_jax.calibration._checked_intervals import (
 from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
-from softcal_jax.calibration._noise import check_references, correlated_noise
-from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
+from softcal_jax.calibration._noise import (
+    check_references,
+    correlated_noise,
+    read_once,
+)
+from softcal_jax.calibration._notes import (
+    CalibrationWarning,
+    warn_if_locking,
+    warn_if_too_few_data,
+)
 from softcal_jax.calibration._problem import (
     Batch,
     CalibrationProblem,
@@ -74,6 +83,7 @@ def calibrate(
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
     deviations: Float[Array, "n_c n_p"] | None = None,
+    goals: bool = False,
     intervals: float | None = LEVEL,
     quick: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -113,6 +123,8 @@ def calibrate(
         deviations: Known deviations of scaled parameters, a row per configuration:
             specimens of one design, each with errors of its own. They need everything
             else `exactly_known`, and take neither `validation` nor `intervals` [-].
+        goals: Whether measured values are goals: these may be alike in several
+            configurations, whereas a reading counts once.
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
@@ -169,6 +181,7 @@ def calibrate(
         seed=seed,
         start=start,
         deviations=deviations,
+        goals=goals,
         quick=quick,
     )
     if deviations is not None and intervals is not None:
@@ -203,8 +216,13 @@ def calibrate(
 
 def _batch(task: Task) -> Batch:
     """Stack all configurations, and check them before the first solve."""
-    everything, setting = _stacked(
-        task.model, task.space, task.configurations, task.newton, task.uncertain
+    everything, setting, repeats = _stacked(
+        task.model,
+        task.space,
+        task.configurations,
+        task.newton,
+        task.uncertain,
+        task.goals,
     )
     everything = replace(everything, deviations=_deviations(task))
     fitted = everything.of_first(len(task.fitted))
@@ -213,7 +231,15 @@ def _batch(task: Task) -> Batch:
     records = setting.lanes.effectors
     check_references(task.configurations, records, fitted=task.fitted)
     warn_if_too_few_data(fitted)
-    return Batch(everything, fitted, setting)
+    repeated = "; ".join(f"{k} has the readings of {of}" for k, of in repeats.items())
+    if repeated:
+        repeated += ", to the last digit: they count once. Check what each one reads."
+    held_out = [c.name for c in task.held_out if c.name in repeats]
+    if held_out:
+        repeated += f" The error of {listed(held_out)} is not held out."
+    if len(held_out) < len(repeats):
+        warnings.warn(repeated, CalibrationWarning, stacklevel=3)
+    return Batch(everything, fitted, setting, repeated)
 
 
 def _deviations(task: Task) -> Float[Array, "n_c n_p"] | None:
@@ -317,7 +343,7 @@ def build_problem(
     """
     posed, space = as_sequence(configurations), as_space(parameters)
     newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
-    problem, setting = _stacked(model, space, posed, newton, uncertain)
+    problem, setting, _ = _stacked(model, space, posed, newton, uncertain)
     check_references(posed, setting.lanes.effectors)
     return problem
 
@@ -328,8 +354,9 @@ def _stacked(
     configurations: Sequence[Configuration],
     newton: NewtonSettings,
     uncertain: Uncertain,
-) -> tuple[CalibrationProblem, Setting]:
-    """Stack a calibration into arrays."""
+    goals: bool = False,
+) -> tuple[CalibrationProblem, Setting, dict[str, str]]:
+    """Stack a calibration into arrays; see `read_once` for what is repeated."""
     check_process()
     for configuration in configurations:
         if not configuration.is_measured:
@@ -340,9 +367,11 @@ def _stacked(
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
+    lanes, repeats = (lanes, {}) if goals else read_once(configurations, lanes)
     setting = Setting(model, space, configurations, lanes, uncertain)
     noise = correlated_noise(setting)
-    return CalibrationProblem(model, space, lanes.arrays, newton, noise), setting
+    problem = CalibrationProblem(model, space, lanes.arrays, newton, noise)
+    return problem, setting, repeats
 
 
 def as_sequence(

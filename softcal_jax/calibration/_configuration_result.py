@@ -1,5 +1,6 @@
 """One configuration at equilibrium: its effectors, measured and simulated."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -10,6 +11,7 @@ from scipy.special import chdtrc
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, Result
+from softcal_jax._names import MOST_NAMED, listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
@@ -17,6 +19,7 @@ from softcal_jax.configurations import (
     ConfigurationLanes,
     EffectorRecord,
     configuration_lanes,
+    rms_distance,
 )
 from softcal_jax.equilibrium import (
     RESULTS,
@@ -86,17 +89,17 @@ class ConfigurationResult(Module):
 
     def __str__(self) -> str:
         """Write how far the markers are off before and after, in one line."""
-        before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
-        what = f"rms {before:.3f} to {after:.3f} mm"
-        if not any(e.seen.any() for e in self.points):
-            size = lambda e, values: np.linalg.norm(e.error(values))
-            what = ", ".join(
-                f"{e.name} {size(e, e.simulated_before):.3g} to "
-                f"{size(e, e.simulated):.3g} {e.unit} off"
-                for e in self.effectors
-                if e.seen.any()
-            )
-        return f"{self.name} ({self.role}): {what}"
+        course = lambda sizes, shape: " to ".join(
+            f"{size:{shape}}" for size in sizes if math.isfinite(size)
+        )
+        rms = course((1e3 * self.rms_before, 1e3 * self.rms_after), ".3f")
+        what = f"rms {rms} mm" * bool(rms) or ", ".join(
+            f"{e.name} {course(map(e.distance, both), '.3g')} {e.unit} off"
+            for e in self.effectors
+            for both in [(e.simulated_before, e.simulated)]
+            if e.seen.any()
+        )
+        return f"{self.name} ({self.role}): {what or 'nothing measured'}"
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -115,57 +118,42 @@ class ConfigurationResult(Module):
 
     @property
     def error_after(self) -> Float[HostArray, "n_points 3"]:
-        """Simulated minus measured positions, 0 where not measured [m]."""
-        errors = [e.error(e.simulated) for e in self.points]
-        return np.array(errors).reshape(-1, 3)
+        """Simulated minus measured positions, NaN where not measured [m]."""
+        return np.array([e.residual for e in self.points]).reshape(-1, 3)
 
     @property
     def rms_before(self) -> float:
-        """Root mean square of the marker distances with the start parameters [m]."""
-        return _rms([e.error(e.simulated_before) for e in self.points])
+        """The same as `rms_after` with the start parameters [m]."""
+        return rms_distance(self.points, lambda e: e.simulated_before)
 
     @property
     def rms_after(self) -> float:
-        """Root mean square of the marker distances after calibration [m]."""
-        return _rms(self.error_after)
+        """Root mean square distance of measured points after calibration [m].
+
+        Of a point of which some coordinates were measured, along these; NaN where no
+        point was measured.
+        """
+        return rms_distance(self.points, lambda e: e.simulated)
 
     @property
     def motion(self) -> float:
-        """Root mean square displacement of the markers, in measured coordinates [m]."""
-        return _rms([e.error(e.at_rest) for e in self.points])
+        """Root mean square displacement of the same points, as measured [m]."""
+        return rms_distance(self.points, lambda e: e.at_rest)
 
     @property
     def turn_before(self) -> float:
         """Root mean square angle to measured orientations before calibration [rad]."""
-        return _rms([e.error(e.simulated_before) for e in self.turns])
+        return rms_distance(self.turns, lambda e: e.simulated_before)
 
     @property
     def turn_after(self) -> float:
         """Root mean square angle to measured orientations after calibration [rad]."""
-        return _rms([e.error(e.simulated) for e in self.turns])
+        return rms_distance(self.turns, lambda e: e.simulated)
 
     @property
     def rms_share(self) -> float:
         """Marker distances after calibration over their motion; NaN without one [-]."""
         return self.rms_after / self.motion if self.motion > 0.0 else float("nan")
-
-    @property
-    def off(self) -> str:
-        """Distance of its markers, like "1.06 mm off, 6 % of its motion"."""
-        text = f"{1e3 * self.rms_after:.2f} mm off"
-        if self.motion > 0.0:
-            text += f", {100.0 * self.rms_share:.0f} % of its motion"
-        return text
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """What the model leaves out in this configuration, one sentence each."""
-        if self.self_contact is None:
-            return ()
-        return (
-            f"The body touches itself in {self.name}, {self.self_contact.words}: this "
-            "is not modelled.",
-        )
 
     def _chance(
         self,
@@ -184,7 +172,7 @@ class ConfigurationResult(Module):
             asked = e.quantity == "point" or not points
             rows += [asked] * len(e.std)
             if asked:
-                errors.append(e.error(value(e)) / e.std)
+                errors.append(np.where(e.seen, e.error(value(e)), 0.0) / e.std)
                 n += int(e.seen.sum())
         stacked = np.concatenate(errors) / noise_scale
         if self.columns is not None:
@@ -231,10 +219,23 @@ class ConfigurationResult(Module):
         return float(np.linalg.norm(self.displacement, axis=1).max())
 
 
-def _rms(errors: Sequence[Float[HostArray, "3"]] | HostArray) -> float:
-    if len(errors) == 0:
-        return float("nan")
-    return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
+def off_by(poses: Sequence[tuple[str, float, float]], done: str = "") -> str:
+    """Say how far poses are `done` off, given their names, errors and motions [m]."""
+    share = lambda x, u: f", {100.0 * x / u:.0f} % of its motion" if u > 0.0 else ""
+    each = [f"{p} is {done}{1e3 * x:.2f} mm off{share(x, u)}" for p, x, u in poses]
+    more = [f"{len(each) - MOST_NAMED} more"] * (len(each) > MOST_NAMED)
+    return "; ".join(each[:MOST_NAMED] + more)
+
+
+def touching(fits: Sequence[ConfigurationResult]) -> tuple[str, ...]:
+    """Name the poses in which the body passes through itself, in a sentence."""
+    deep = [(f.self_contact, f.name) for f in fits if f.self_contact is not None]
+    if not deep:
+        return ()
+    deep.sort(key=lambda one: -one[0].depth[0])
+    names = listed([name for _, name in deep], MOST_NAMED)
+    words = f"{'up to ' * (len(deep) > 1)}{deep[0][0].words}"
+    return (f"The body touches itself in {names}, {words}: this is not modelled.",)
 
 
 class SimulationResult(Result):
@@ -256,7 +257,7 @@ class SimulationResult(Result):
     @property
     def doubts(self) -> tuple[str, ...]:
         """What the model leaves out, one sentence each; empty if nothing is known."""
-        return tuple(doubt for pose in self.configurations for doubt in pose.doubts)
+        return touching(self.configurations)
 
     @property
     def headline(self) -> str:

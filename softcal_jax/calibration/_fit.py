@@ -136,6 +136,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         else:
             result = _with_budget(task, watch, solved, setting, workers, so_far)
     problem = batch.fitted.with_noise(weighed.noise)
+    result = replace(result, repeated=batch.repeated)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
 
 

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +25,12 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationLanes,
+    EffectorArrays,
+    EffectorRecord,
+)
 from softcal_jax.fields import QUANTITIES
 from softcal_jax.inference import ATTACHMENTS, ErrorColumns, no_errors
 from softcal_jax.unknowns import (
@@ -86,6 +92,45 @@ def check_references(
                     "points and frames that both have can be compared by their "
                     "displacement."
                 )
+
+
+def read_once(
+    configurations: Sequence[Configuration], lanes: ConfigurationLanes
+) -> tuple[ConfigurationLanes, dict[str, str]]:
+    """Leave a reading out where it stands a second time: it has one error.
+
+    Readings are the same if all effectors that two configurations measured agree to the
+    last digit, in more than one number away from rest: one alone may agree by chance.
+    References of displacements keep theirs; of other configurations the first does.
+
+    Returns:
+        The lanes; and the configurations that repeat another one, by name, with that.
+    """
+    references = {c.displacement_from for c in configurations}
+    names, records = [c.name for c in configurations], [*lanes.effectors]
+    weight, repeats = np.array(lanes.arrays.effectors.inverse_std), dict[str, str]()
+    kept: dict[str, dict[tuple[str, str], HostArray]] = {}
+    for c in sorted(range(len(names)), key=lambda c: names[c] not in references):
+        key = lambda e: (e.name, e.quantity)
+        # Of a turn, the orientation from which it counts is what was measured.
+        numbers = lambda e: np.append(e.measured, e.reference)
+        rest = lambda e: np.append(np.nan_to_num(e.at_rest), np.eye(3))
+        read = {key(e): numbers(e) for e in records[c] if e.seen.any()}
+        for first, other in {} if names[c] in references else kept.items():
+            same = [e for e in records[c] if key(e) in read.keys() & other.keys()]
+            moved = sum(np.nansum(np.abs(numbers(e) - rest(e)) > 0.0) for e in same)
+            alike = [np.array_equal(read[key(e)], other[key(e)], True) for e in same]
+            if moved < 2 or not all(alike):
+                continue
+            repeats[names[c]] = first
+            weight[c, [e.index for e in same]] = 0.0
+            unread = lambda e: replace(e, measured=np.nan * e.std, std=np.inf * e.std)
+            records[c] = tuple(unread(e) if key(e) in other else e for e in records[c])
+            read = {k: read[k] for k in read.keys() - other.keys()}
+        kept[names[c]] = read
+    lanes = lanes._replace(effectors=tuple(records))
+    weights = lambda lanes: lanes.arrays.effectors.inverse_std
+    return eqx.tree_at(weights, lanes, weight) if repeats else lanes, repeats
 
 
 def independent_recordings(configurations: Sequence[Configuration]) -> list[str]:
@@ -231,7 +276,7 @@ def correlated_noise(setting: Setting) -> CorrelatedNoise:
     for lane, of_pose in enumerate(records):
         for e in of_pose:
             if e.quantity == "point":
-                motion[lane, e.index] = -e.error(e.at_rest)
+                motion[lane, e.index] = -np.nan_to_num(e.error(e.at_rest))
     noise = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(np.transpose(offset), dtype),

@@ -8,10 +8,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module
+from softcal_jax._names import MOST_NAMED, listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._configuration_result import ConfigurationResult, off_by
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
@@ -19,7 +20,7 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
-from softcal_jax.contact import Contacts, ContactState
+from softcal_jax.contact import Contacts
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, kind_of
 from softcal_jax.inference import (
@@ -118,17 +119,17 @@ class ResidualChecks(Module):
                 "or the law."
             )
         allowed = UNLIKELY / max(len(self.left_out), 1)
-        for pose in self.left_out:
-            far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
-            if pose.probability < allowed or far:
-                reasons.append(_contradiction(pose))
-        for one in disagreeing(self.recordings):
+        far = lambda p: p.rms > FAR * p.motion and p.by_scatter < UNLIKELY
+        wrong = [p for p in self.left_out if p.probability < allowed or far(p)]
+        reasons += _contradictions(sorted(wrong, key=lambda p: p.probability))
+        alone = []
+        for one in sorted(disagreeing(self.recordings), key=lambda e: -abs(e.apart)):
             value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
-            reasons.append(
+            alone.append(
                 f"{one.recording} alone gives {one.parameter} = {value}, "
-                f"{abs(one.apart):.1f} standard errors from the fit's {fit}."
+                f"{abs(one.apart):.1f} standard errors from the fit's {fit}"
             )
-        return tuple(reasons)
+        return (*reasons, *([f"{'; '.join(alone[:MOST_NAMED])}."] if alone else []))
 
     @property
     def agreement(self) -> tuple[str, ...]:
@@ -136,24 +137,28 @@ class ResidualChecks(Module):
         return tuple(agreement_sentences(self.recordings))
 
 
-def _contradiction(pose: LeftOut) -> str:
-    """Say how far off the others predict a configuration."""
-    if math.isfinite(pose.rms):
-        share = ""
-        if pose.motion > 0.0:
-            percent = 100.0 * pose.rms / pose.motion
-            share = f", {percent:.0f} % of its motion"
-        return (
-            f"Predicted from the other poses, {pose.name} is {1e3 * pose.rms:.2f} mm "
-            f"off{share}; known errors explain {1e3 * pose.expected:.2g} mm."
+def _contradictions(poses: Sequence[LeftOut]) -> Iterator[str]:
+    """Say how far off the others predict configurations, the unlikeliest first."""
+    far = [(p.name, p.rms, p.motion) for p in poses if math.isfinite(p.rms)]
+    if far:
+        known = max(p.expected for p in poses if math.isfinite(p.rms))
+        yield (
+            f"Predicted from the other poses, {off_by(far)}; known errors explain "
+            f"{'at most ' * (len(far) > 1)}{1e3 * known:.2g} mm."
         )
-    why = "which has no markers"
-    if math.isfinite(pose.motion):
-        why = "whose markers depend on parameters that it alone determines"
-    return (
-        f"The other poses contradict {pose.name}, {why}, so no distance can be "
-        f"predicted (p = {pose.probability:.1g})."
-    )
+    for known in (False, True):
+        blind = [p for p in poses if not math.isfinite(p.rms)]
+        blind = [p for p in blind if math.isfinite(p.motion) == known]
+        if blind:
+            one, names = len(blind) == 1, listed([p.name for p in blind], MOST_NAMED)
+            why = f"which {'has' if one else 'have'} no markers"
+            if known:
+                why = "whose markers depend on parameters that "
+                why += f"{'it' if one else 'each'} alone determines"
+            yield (
+                f"The other poses contradict {names}, {why}, so no distance can be "
+                f"predicted (p = {min(p.probability for p in blind):.1g})."
+            )
 
 
 def residual_checks(
@@ -171,16 +176,18 @@ def residual_checks(
         shared, pose = _shared_errors(weight, effectors.nodes.shape[-2], fits)
         test = lack_of_fit(linear, shared[weight.ravel() > 0.0], pose)
     left_out: tuple[LeftOut, ...] = ()
-    if len(names) >= FEWEST and (spread.has_noise or not estimated):
+    used = np.unique(linear.pose)
+    if len(used) >= FEWEST and (spread.has_noise or not estimated):
         of = spread.degrees_of_freedom if estimated else None
-        by_scatter = [float("nan")] * len(names)
+        by_scatter = [float("nan")] * len(used)
         if test is not None:
             others = predicted_by_others(linear.with_jitter(test.jitter))
             by_scatter = [
                 chance(other.chi_squared, other.degrees_of_freedom, of=test.within)
                 for other in others
             ]
-        each = zip(fits, predicted_by_others(linear), weight, by_scatter, strict=True)
+        of_used = [fits[c] for c in used], predicted_by_others(linear), weight[used]
+        each = zip(*of_used, by_scatter, strict=True)
         left_out = tuple(_left_out(*one, of=of) for one in each)
     level = probability = float("nan")
     if estimated and spread.has_noise and all(c.states_noise for c in configurations):
@@ -223,7 +230,7 @@ def _left_out(
     for values in (prediction.error, prediction.std):
         rows = np.zeros(weight.shape)
         rows[seen] = values / weight[seen]
-        squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
+        squares = [np.sum(rows[e.index] ** 2) for e in fit.points if e.seen.any()]
         rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
     squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
     probability = chance(squares, dof, of=of, jitter_is_of_all=True)
@@ -261,15 +268,13 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
         return [
             f"Not converged: every step was refused, down to a size of {size:.0e}. "
             "Beyond this point a configuration has no equilibrium, or the equilibria "
-            "are too inaccurate (newton rtol) to show an improvement. Do not use these "
-            "values."
+            "are too inaccurate (newton rtol) to show an improvement."
         ]
     if state.converged:
         return []
     return [
         f"Not converged: after {int(state.step)} steps lambda_p is still {size:.1e} "
-        f"(tol {settings.tol:g}). Do not use these values; raise max_steps or look at "
-        "the history."
+        f"(tol {settings.tol:g}). Raise max_steps or look at the history."
     ]
 
 
@@ -370,28 +375,34 @@ def contact_doubts(
     contacts: Contacts, fits: Sequence[ConfigurationResult]
 ) -> Iterator[str]:
     """Name the poses where much slides that is held, or the cushion gives way."""
-    for fit in fits:
-        for contact in () if fit.robot is None else fit.robot.contacts:
-            yield from _doubts_of_contact(contacts, f'"{fit.name}"', contact)
+    scale, E = float(contacts.scale), readable(float(contacts.stiffness), "Pa")
+    for name, friction in zip(contacts.names, contacts.friction, strict=True):
+        felt = [
+            (contact, f'"{fit.name}"')
+            for fit in fits
+            for contact in (() if fit.robot is None else fit.robot.contacts)
+            if contact.name == name
+        ]
+        slides = sorted(
+            (float(c.sliding), pose) for c, pose in felt if c.sliding > SLIDES
+        )
+        deep = sorted((float(c.depth), pose) for c, pose in felt if c.depth > scale)
+        if slides:
+            yield (
+                f"{_poses(slides)}{100.0 * slides[-1][0]:.0f} % of what touches "
+                f'"{name}" would slide at the coefficient of friction {friction:g}; it '
+                "is held as if it stuck."
+            )
+        if deep:
+            yield (
+                f"{_poses(deep)}{readable(deep[-1][0], 'm')} of the body lie inside "
+                f'"{name}", deeper than the scale of contact, {readable(scale, "m")}: '
+                f"the pressure is more than half of {E}, the modulus at the start, "
+                "which contact has. Start with a larger modulus, or press less."
+            )
 
 
-def _doubts_of_contact(
-    contacts: Contacts, pose: str, contact: ContactState
-) -> Iterator[str]:
-    if contact.sliding > SLIDES:
-        friction = contacts.friction[contacts.names.index(contact.name)]
-        yield (
-            f'{pose}: {100.0 * contact.sliding:.0f} % of what touches "{contact.name}" '
-            f"would slide at the coefficient of friction {friction:g}; it is held as "
-            "if it stuck."
-        )
-    scale, depth = float(contacts.scale), float(contact.depth)
-    if depth > scale:
-        E = readable(float(contacts.stiffness), "Pa")
-        yield (
-            f"{pose}: the body lies {readable(depth, 'm')} inside "
-            f'"{contact.name}", deeper than the scale of contact, '
-            f"{readable(scale, 'm')}: the pressure is more than half of {E}, the "
-            "modulus at the start, which contact has. Start with a larger modulus, or "
-            "press less."
-        )
+def _poses(sizes: Sequence[tuple[float, str]]) -> str:
+    """Begin a sentence on poses with ascending sizes, of which the last is named."""
+    names = listed([pose for _, pose in sizes[::-1]], MOST_NAMED)
+    return f"{names}: {'up to ' * (len(sizes) > 1)}"

@@ -289,6 +289,7 @@ class Task(NamedTuple):
     seed: int
     start: Float[Array, " n_p"] | None
     deviations: Float[Array, "n_c n_p"] | None
+    goals: bool
     quick: bool
 
     @property
@@ -298,8 +299,12 @@ class Task(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """All configurations as arrays, and the calibration to those that are fitted."""
+    """All configurations as arrays, and the calibration to those that are fitted.
+
+    `repeated` says which readings stand in several configurations, if any do.
+    """
 
     everything: CalibrationProblem
     fitted: CalibrationProblem
     setting: Setting
+    repeated: str

@@ -7,18 +7,30 @@ import numpy as np
 
 from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
-from softcal_jax._names import check_known, listed
+from softcal_jax._names import MOST_NAMED, check_known, listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._checkpoint import HistoryEntry
-from softcal_jax.calibration._configuration_result import ConfigurationResult
+from softcal_jax.calibration._configuration_result import (
+    ConfigurationResult,
+    off_by,
+    touching,
+)
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks, contact_doubts
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import best_of
+from softcal_jax.configurations import rms_distance
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
-from softcal_jax.inference import ErrorBudget, Estimate, LinearModel, Uncertainty
+from softcal_jax.inference import (
+    UNLIKELY,
+    ErrorBudget,
+    Estimate,
+    LinearModel,
+    Uncertainty,
+    chance,
+)
 
 MOST_OPTIMA = 5  # most optima that are listed; the others are only counted
 
@@ -283,6 +295,7 @@ class CalibrationResult(Result):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise had settled when the fit ended.
         checks: What the residuals say about the model.
+        repeated: Which readings stand in several configurations, in a sentence, or "".
         mistakes: Sentences on mistakes that would explain contradictory data, the
             likeliest first, if they were sought: see `likely_mistakes`.
         left_out: What was not computed; standard errors are then by the noise alone.
@@ -309,6 +322,7 @@ class CalibrationResult(Result):
     checks: ResidualChecks | None = None
     precision: float = PRECISION
     interrupted: bool = False
+    repeated: str = ""
     mistakes: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     source: ProjectSource | None = None
@@ -324,7 +338,13 @@ class CalibrationResult(Result):
 
         They are by chi-squared of stated errors, by `checks`, and by each pose.
         """
-        spread, doubts = self.uncertainty, []
+        spread, doubts, pushed = self.uncertainty, [], self.pushed
+        if pushed:
+            doubts.append(
+                f"{listed(pushed, MOST_NAMED)} ended on a bound beyond which the data "
+                "push, by more than noise explains: widen it, or find what else is "
+                "wrong."
+            )
         if spread.misfits:
             level = np.sqrt(spread.chi_squared / spread.degrees_of_freedom)
             doubts.append(
@@ -335,13 +355,40 @@ class CalibrationResult(Result):
                 "stated noise."
             )
         doubts += self.checks.reasons if self.checks is not None else ()
-        done = {"calibration": "fitted", "validation": "predicted"}
-        return tuple(doubts) + tuple(
-            f"{fit.name} is {done[fit.role]} {fit.off}: check its load, supports, "
-            "gravity, units and marker names."
-            for fit in self.configurations
-            if fit.misfit(spread.noise, spread.level)
-        )
+        for role, done in (("calibration", "fitted "), ("validation", "predicted ")):
+            far = [
+                (fit.name, fit.rms_after, fit.motion)
+                for fit in self.configurations
+                if fit.role == role and fit.misfit(spread.noise, spread.level)
+            ]
+            far.sort(key=lambda pose: -pose[1])
+            if far:
+                doubts.append(
+                    f"{off_by(far, done)}: {'for each, ' * (len(far) > 1)}check its "
+                    "load, supports, gravity, units and marker names."
+                )
+        return tuple(doubts)
+
+    @property
+    def pushed(self) -> tuple[str, ...]:
+        """Parameters that ended on a bound beyond which the data push.
+
+        Without it the squared errors would fall by more than noise explains: by the
+        square of the step to the optimum beyond, in standard errors by noise.
+        """
+        spread, of, level, pushed = self.uncertainty, None, 1.0, []
+        fit = self.linear.of_fit().with_scale(spread.level)
+        if spread.noise == "estimated" and spread.has_noise:
+            of = spread.degrees_of_freedom
+            level = fit.squares() / of  # what offsets of recordings leave of them
+        for k in np.flatnonzero(fit.held).tolist():
+            p, free = self.parameters[k], fit.with_free(k)
+            step, down = free.step()[k], p.value - p.lower < p.upper - p.value
+            fall = float(step**2 / free.covariance()[k, k]) / level
+            by_chance = chance(fall, 1, of=of, jitter_is_of_all=True)
+            if (step < 0.0) == down and by_chance < UNLIKELY:
+                pushed.append(p.name)
+        return tuple(pushed)
 
     @property
     def contact_doubts(self) -> tuple[str, ...]:
@@ -349,17 +396,17 @@ class CalibrationResult(Result):
 
         That is on obstacles, or where the body passes through itself.
         """
-        of_body = tuple(doubt for fit in self.configurations for doubt in fit.doubts)
-        contacts = self.model.mechanism.contacts
-        return *contact_doubts(contacts, self.configurations), *of_body
+        contacts, fits = self.model.mechanism.contacts, self.configurations
+        return *contact_doubts(contacts, fits), *touching(fits)
 
     @property
     def missed(self) -> float:
-        """Error of all held-out poses over their motion; 0 without any [-]."""
-        poses = [c for c in self.configurations if c.role == "validation" and c.points]
-        squares = [(c.rms_after**2, c.motion**2) for c in poses if c.converged]
-        error, motion = np.sum(squares, axis=0) if squares else (0.0, 0.0)
-        return float(np.sqrt(error / motion)) if motion > 0.0 else 0.0
+        """Error of all held-out points over their motion; 0 without any [-]."""
+        poses = [c for c in self.configurations if c.role == "validation"]
+        points = [e for pose in poses if pose.converged for e in pose.points]
+        motion = rms_distance(points, lambda e: e.at_rest)
+        error = rms_distance(points, lambda e: e.simulated)
+        return error / motion if motion > 0.0 else 0.0
 
     @property
     def contradicted(self) -> bool:
@@ -399,7 +446,7 @@ class CalibrationResult(Result):
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]
-        doubts = *self.doubts, *self.contact_doubts
+        doubts = filter(None, (*self.doubts, self.repeated, *self.contact_doubts))
         lines += [f"  Doubt: {reason}" for reason in doubts]
         lines += [f"  Mistake? {sentence}" for sentence in self.mistakes]
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])

@@ -63,33 +63,34 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
+    if assessment.contradicted and not (args.quick or result.interrupted):
+        result = _with_mistakes(result, show)
     show.line()
     if args.verbose:
         show.line(report.summary_table(result, assessment))
     for text in report.answer_of(result, assessment).lines():
         show.line(text)
-    if assessment.contradicted and not (args.quick or result.interrupted):
-        result = _with_mistakes(result, show)
     more = {"name": project.name, "traces": project.traces}
     write = partial(report.write_results, result, assessment=assessment, **more)
     cli.write_results(write, args, show, index="result.json")
     steps = len(result.history) - 1
     if result.interrupted:
-        end = "" if result.converged else ", not converged: do not use the values"
+        end = "" if result.converged else ", not converged"
         text = f"interrupted after {steps} steps{end}. {cli.checkpoint_stands(args)}"
         raise cli.Stop(cli.INTERRUPTED, text.strip())
     if not result.converged:
-        text = f"not converged after {steps} steps: do not use the values."
+        text = f"not converged after {steps} steps."
         raise cli.Stop(cli.NOT_CONVERGED, text)
     if assessment.outcome == "do not use":
-        text = f"do not use the values: {' '.join(assessment.reasons)}"
-        raise cli.Stop(cli.NOT_TO_USE, text)
+        raise cli.Stop(
+            cli.NOT_TO_USE, "the model is far from the data: see the verdict."
+        )
 
 
 def _with_mistakes(
     result: "CalibrationResult", show: cli.Display
 ) -> "CalibrationResult":
-    """Search the likeliest mistake below the answer; Ctrl-C leaves it out."""
+    """Search the likeliest mistake, which stands above the answer; or Ctrl-C."""
     from softcal_jax.mistakes import likely_mistakes
 
     show.now("the likeliest mistake in the data or the project")
@@ -99,8 +100,6 @@ def _with_mistakes(
         notes = (*result.notes, "Interrupted while mistakes were sought.")
         return replace(result, notes=notes, interrupted=True)
     show.lap("mistakes")
-    for sentence in mistakes[:1]:
-        show.line(f"Possible mistake: {sentence}")
     return replace(result, mistakes=mistakes)
 
 

@@ -5,6 +5,7 @@ Neither an interruption nor a full disk loses the results.
 
 import argparse
 import json
+import math
 import signal
 import sys
 import tempfile
@@ -57,10 +58,10 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
 
 
 def with_care(outcome: str, doubts: Sequence[str]) -> list[str]:
-    """Write the doubts about calibrated values as notes for whoever uses the values."""
+    """Write the doubts about calibrated values as a note for whoever uses them."""
     useless = outcome == "do not use"
     what = "do not use the values" if useless else "take the values with care"
-    return [f"{what}: {reason}" for reason in doubts]
+    return [f"{what}: {' '.join(doubts)}"] if doubts else []
 
 
 @contextmanager
@@ -254,14 +255,13 @@ def checkpoint_stands(args: argparse.Namespace) -> str:
 
 def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Return a callback that prints a line per step and says what comes next."""
-    sees_points = any(c.has_points for c in project.calibration)
     noise: float | None = None
 
     def progress(entry: "HistoryEntry") -> None:
         nonlocal noise
         # Lengths, angles and forces have no distance, so show the cost.
         misfit = f"cost {entry.cost:9.3g}"
-        if sees_points:
+        if math.isfinite(entry.rms):
             misfit = f"rms {1e3 * entry.rms:7.3f} mm"
         size = max(abs(step) for step in entry.lambda_p)
         moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
@@ -287,7 +287,7 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
     for p in result.parameters:
         value = readable_estimate(p.value, p.standard_error, p.unit)
         show.note(f"  {p.name} = {value}")
-    if any(fit.points for fit in result.configurations):
+    if math.isfinite(result.history[-1].rms):
         show.note(f"  Residuals: {1e3 * result.history[-1].rms:.2f} mm rms")
     for sentence in held_out_sentences(result.configurations):
         show.note(f"  {sentence}")

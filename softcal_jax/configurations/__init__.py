@@ -31,6 +31,7 @@ from softcal_jax.configurations._effector import (
     check_numbers as check_numbers,
     farthest as farthest,
     motions as motions,
+    rms_distance as rms_distance,
 )
 from softcal_jax.configurations._effectors import (
     ActuatorDisplacement as ActuatorDisplacement,

@@ -35,7 +35,6 @@ from softcal_jax.configurations._effector import (
     effector_record,
     stack_effectors,
 )
-from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, standing
 from softcal_jax.contact import depths_at_start
@@ -119,12 +118,6 @@ class Configuration(Module):
         keys = "std", "std_angle"
         errors = [getattr(e, key, 0.0) for e in self._measured() for key in keys]
         return not any(isinstance(error, Unstated) for error in errors)
-
-    @property
-    def has_points(self) -> bool:
-        """Whether a marker or a point of another effector is followed."""
-        of_effectors = any(isinstance(e, BodyFrame | Centroid) for e in self.effectors)
-        return self.markers is not None or of_effectors
 
     def __check_init__(self):
         three_numbers(f"gravity of configuration {self.name!r}", "m/s2", self.gravity)

@@ -182,11 +182,16 @@ class EffectorRecord(Module):
     @property
     def residual(self) -> Float[HostArray, " k"]:
         """Simulated minus measured values; NaN where not measured."""
-        return self.simulated - self.measured
+        return self.error(self.simulated)
 
     def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
-        """Subtract the measured from the given values; 0 where not measured."""
-        return np.where(self.seen, values - self.measured, 0.0)
+        """Subtract the measured from the given values; NaN where not measured."""
+        return np.where(self.seen, values - self.measured, np.nan)
+
+    def distance(self, values: Float[HostArray, " k"]) -> float:
+        """Return the length of the error, along what was measured; NaN without any."""
+        error = self.error(values)[self.seen]
+        return float(np.linalg.norm(error)) if error.size else math.nan
 
     def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
         """Pick its coordinates among those of all rows of a configuration."""
@@ -212,6 +217,19 @@ def effector_record(
         simulated_before=nothing,
         simulated=nothing,
     )
+
+
+def rms_distance(
+    records: Iterable[EffectorRecord],
+    values: Callable[[EffectorRecord], Float[HostArray, " k"]],
+) -> float:
+    """Return the root mean square distance of values from what was measured.
+
+    Over the effectors of which a coordinate was measured, each along those coordinates
+    that were; NaN without any.
+    """
+    squares = [e.distance(values(e)) ** 2 for e in records if e.seen.any()]
+    return float(np.sqrt(np.mean(squares))) if squares else math.nan
 
 
 def check_numbers(
@@ -307,7 +325,7 @@ def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k
 
 def farthest(moved: Mapping[str, Float[HostArray, " k"]], size: float) -> str | None:
     """Describe the point that moved implausibly far, for the size of the robot [m]."""
-    distances = {name: math.hypot(*u) for name, u in moved.items()}
+    distances = {name: math.hypot(*u[np.isfinite(u)]) for name, u in moved.items()}
     name = max(distances, key=distances.__getitem__, default="")
     if not moved or distances[name] <= FAR * size:
         return None

@@ -83,7 +83,8 @@ def check_goals(model: Model, goals: Sequence[Configuration]) -> None:
                 "measured values, which are its goals."
             )
         for name, moved in motions(records).items():
-            distance, size = float(np.linalg.norm(moved)), model.mesh.size
+            distance = float(np.linalg.norm(moved[np.isfinite(moved)]))
+            size = model.mesh.size
             if distance > size:
                 raise ValueError(
                     f"the goal of {name!r} in {goal.name!r} is {show(distance)} from "

@@ -277,6 +277,7 @@ def _calibrated(
             goals,
             noise="stated",
             uncertain=exactly_known(),
+            goals=True,
             settings=asked.settings,
             newton=asked.newton,
             seed=asked.seed,

@@ -48,9 +48,8 @@ def write_csv(folder: Path, configurations: Sequence[ConfigurationResult]) -> li
 def _markers(fit: ConfigurationResult) -> Iterator[list[str]]:
     for point in fit.points:
         values = np.concatenate(_values(point))
-        error = point.error(point.simulated)
-        distance = float(np.linalg.norm(error)) if point.seen.any() else math.nan
-        shown = [_text(1e3 * v, ".6f") for v in (*values, distance)]
+        lengths = *values, point.distance(point.simulated)
+        shown = [_text(1e3 * v, ".6f") for v in lengths]
         yield [fit.name, fit.role, point.name, *shown]
 
 

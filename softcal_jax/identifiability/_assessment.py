@@ -1,8 +1,9 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
@@ -12,7 +13,6 @@ from softcal_jax.calibration import (
     MISSED,
     CalibrationResult,
     ConfigurationResult,
-    MultiStartResult,
 )
 from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
@@ -70,13 +70,14 @@ def _predictions(
     """
     predictions = []
     for fit in fits:
-        if fit.W_ep is None or not fit.points:
+        points = [point for point in fit.points if point.seen.any()]
+        if fit.W_ep is None or not points:
             continue
         variance = 0.0
-        for marker in fit.points:
+        for marker in points:
             rows = marker.seen[:, None] * fit.W_ep[marker.index] * report.asked
             variance += float(np.sum(report.spread.along(rows) ** 2))
-        std = float(np.sqrt(variance / len(fit.points)))
+        std = float(np.sqrt(variance / len(points)))
         predictions.append(Prediction(fit.name, fit.role, std))
     return tuple(predictions)
 
@@ -89,9 +90,11 @@ class Assessment(Result):
             converged, its residuals are no larger than stated errors, every
             configuration is explained, contact is as modelled, no parameter sits on a
             bound, no other optimum fits as well, tets do not lock, and all are known as
-            well as was asked. "do not use" if it did not converge, or misses the data
-            by far, see `MISSED` and `FAR_OUT`. Otherwise "take with care".
-        reasons: Why it is no more than that, the weightiest first.
+            well as was asked. "do not use" if it did not converge, the data push a
+            parameter beyond its bound, or it misses them by far, see `MISSED` and
+            `FAR_OUT`. Otherwise "take with care".
+        reasons: Why it is no more than that. First what contradicts the model or has an
+            unknown effect, then the others by how much they may change a value.
         contradicted: Whether the model contradicts the data.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -184,26 +187,32 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         precision=result.precision if precision is None else precision,
     )
     fatal = _fatal(result)
-    checks = [*fatal, *result.doubts, *result.contact_doubts]
-    checks += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
-    checks += _too_coarse(result, report)
-    checks += _unseen(report)
+    pushed, ratios = result.pushed, {p.name: p.ratio for p in report.parameters}
+    checks = [
+        (ratios.get(p.name, np.inf), f"{p.name} ended on a bound.")
+        for p in result.parameters
+        if p.at_bound and p.name not in pushed
+    ]
+    wide = "is wider than its bounds, which say more than the data."
     checks += [
-        f"The standard error of {p.name} is wider than its bounds, which say more than "
-        "the data."
+        (p.ratio, f"The standard error of {p.name} {wide}")
         for p, bounds in zip(report.parameters, result.space.parameters, strict=True)
         if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
     ]
-    checks += _rivals(result.starts, spread.level)
+    checks += [*_too_coarse(result, report), *_unseen(report)]
+    checks += _rivals(result, report)
+    checks.sort(key=lambda check: -np.nan_to_num(check[0], nan=np.inf))
+    reasons = [*fatal, *result.doubts, *filter(None, [result.repeated])]
+    reasons += [*result.contact_doubts, *(reason for _, reason in checks)]
     if result.left_out:
-        checks.append(
+        reasons.append(
             "The standard errors include the noise alone; left out were "
             f"{listed(result.left_out)}."
         )
-    useless = fatal or _size_of_residuals(result) > FAR_OUT
+    useless = fatal or pushed or _size_of_residuals(result) > FAR_OUT
     return Assessment(
-        outcome="do not use" if useless else "take with care" if checks else "trust",
-        reasons=tuple(checks),
+        outcome="do not use" if useless else "take with care" if reasons else "trust",
+        reasons=tuple(reasons),
         contradicted=result.contradicted,
         misfit_probability=spread.misfit_probability,
         identifiability=report,
@@ -245,25 +254,30 @@ def _size_of_residuals(result: CalibrationResult) -> float:
     return float("nan") if result.checks is None else result.checks.level
 
 
-def _unseen(report: Identifiability) -> list[str]:
+Check = tuple[float, str]
+"""How much a value may change, over the error that is asked for [-], and why."""
+
+
+def _unseen(report: Identifiability) -> list[Check]:
     """Name the parameters that the data do not determine as well as was asked."""
     unseen = []
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
         ("weakly identifiable", "The data determine only weakly"),
     ):
-        named = [p.name for p in report.parameters if p.verdict == verdict]
+        named = {p.name: p.ratio for p in report.parameters if p.verdict == verdict}
         if named:
-            unseen.append(f"{words}: {', '.join(named)}.")
+            unseen.append((max(named.values()), f"{words}: {', '.join(named)}."))
     if report.blind:
-        unseen.append(
+        words = (
             f"The data leave {len(report.blind)} of {report.n_parameters} directions "
-            "of the parameters undetermined."
         )
+        words += "of the parameters undetermined."
+        unseen.append((max(direction.ratio for direction in report.blind), words))
     return unseen
 
 
-def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[str]:
+def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[Check]:
     """Say what the mesh may do to the values, unless that is switched off.
 
     Walls of one or two quadratic tets count with `UNDERRATED` times their estimate.
@@ -275,35 +289,42 @@ def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[str]
     asked = np.array([p.asked for p in report.parameters])
     known = np.any(np.isfinite(errors))  # nan on a bound
     worst = int(np.nanargmax(errors / asked)) if known else 0
+    change = errors[worst] / asked[worst]
     off = lambda times: (
         f"{budget.names[worst]} may be off by "
         f"{budget.readable(worst, times * errors[worst])} by the mesh alone"
     )
     if mesh.order == 1:
         amount = f": {off(1.0)}" if known else ", by an unknown amount here"
-        return [
+        words = (
             f"Linear tets lock in bending{amount}. Use quadratic tets (to_quadratic)."
-        ]
-    if not (known and UNDERRATED * errors[worst] > asked[worst]):
+        )
+        return [(change, words)]
+    if not (known and UNDERRATED * change > 1.0):
         return []
     if (thin := thin_share(mesh)) < THIN:
         return []
-    return [
+    words = (
         f"Walls are at most two quadratic tets thick (over {100.0 * thin:.0f} % of the "
         f"surface), where the error of the mesh can be {UNDERRATED:g} times its "
         f"estimate: {off(UNDERRATED)}. Refine it."
-    ]
+    )
+    return [(UNDERRATED * change, words)]
 
 
-def _rivals(search: MultiStartResult | None, noise_scale: float) -> list[str]:
+def _rivals(result: CalibrationResult, report: Identifiability) -> Iterator[Check]:
     """Name other optima that the data hardly exclude, if several starts were tried."""
-    if search is None or not search.optima:
-        return []
-    best, *others = search.optima
-    allowed = 0.5 * noise_scale**2 * float(chdtri(1, 0.05))
-    return [
-        f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "
-        f"best {best.cost:.3g})."
-        for other in others
-        if other.cost - best.cost <= allowed
-    ]
+    if result.starts is None or not result.starts.optima:
+        return
+    best, *others = result.starts.optima
+    allowed = 0.5 * result.uncertainty.level**2 * float(chdtri(1, 0.05))
+    scaled = lambda of: np.asarray(
+        result.space.to_scaled(jnp.array([*of.values.values()]))
+    )
+    for other in others:
+        if other.cost - best.cost <= allowed:
+            yield (
+                float(np.max(np.abs(scaled(other) - scaled(best)) / report.asked)),
+                f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "
+                f"best {best.cost:.3g}).",
+            )

@@ -40,7 +40,12 @@ from softcal_jax.fields import (
     random_starts,
 )
 from softcal_jax.identifiability import identifiability
-from softcal_jax.layouts._model_comparison import FoldScore, ModelComparison, ModelScore
+from softcal_jax.layouts._model_comparison import (
+    FoldScore,
+    ModelComparison,
+    ModelScore,
+    root_mean_square,
+)
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
 """Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
@@ -145,8 +150,8 @@ def _score(
         linear = linear.only(lanes[linear.pose])
         squares = np.sum(error[lanes, :n_points] ** 2, axis=2)
         measured = np.any(weight[lanes, :n_points] > 0.0, axis=2)
-        mean = lambda squares: float(np.sqrt(np.mean(squares)))
-        return mean(squares[measured]), mean(linear.whiten(linear.r) ** 2)
+        distances = np.sqrt(squares[measured])
+        return root_mean_square(distances), root_mean_square(linear.whiten(linear.r))
 
     *held_out, last = fits
     folds = []

@@ -8,6 +8,7 @@ from scipy.special import stdtrit
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax._text_table import TextTable, or_dash, text_table
+from softcal_jax._typing import HostArray
 from softcal_jax.identifiability import Identifiability
 
 LEVEL_OF_COMPARISON = 0.95
@@ -69,12 +70,12 @@ class ModelScore(Module):
     @property
     def held_out_rms(self) -> float:
         """Root mean square over the good folds; nan if there is none [m]."""
-        return _root_mean([fold.rms for fold in self.good])
+        return root_mean_square([fold.rms for fold in self.good])
 
     @property
     def held_out_noise_rms(self) -> float:
         """The same in units of the noise, per measured coordinate [-]."""
-        return _root_mean([fold.noise_rms for fold in self.good])
+        return root_mean_square([fold.noise_rms for fold in self.good])
 
     @property
     def score(self) -> float:
@@ -128,7 +129,7 @@ class PairedDifference(Module):
         pairs = [
             f.noise_rms**2 - squares[f.held_out]
             for f in other.good
-            if f.held_out in squares
+            if np.isfinite(f.noise_rms * squares.get(f.held_out, np.nan))
         ]
         n = len(pairs)
         error = np.std(pairs, ddof=1) / np.sqrt(n) if n > 1 else np.inf
@@ -172,10 +173,11 @@ class ModelComparison(Result):
         best = self.best
         if best is None:
             return "No model predicts every configuration, so none can be preferred."
+        mm = 1e3 * best.held_out_rms
         first = (
             f"{best.name!r} has the smallest held-out error: "
-            f"{1e3 * best.held_out_rms:.3g} mm, {best.held_out_noise_rms:.2f} times "
-            "the noise."
+            f"{f'{mm:.3g} mm, ' * bool(np.isfinite(mm))}{best.held_out_noise_rms:.2f} "
+            "times the noise."
         )
         rivals = [model for model in self.models[1:] if not model.failed]
         close = [model for model in rivals if model.name in self.undecided]
@@ -239,5 +241,7 @@ def _plus_minus(value: float, error: float) -> str:
     return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
 
 
-def _root_mean(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
+def root_mean_square(values: Sequence[float] | HostArray) -> float:
+    """Return the root mean square of the values that are known; nan without any."""
+    known = np.asarray(values)[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan

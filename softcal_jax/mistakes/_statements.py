@@ -229,8 +229,7 @@ def clamps(
     for c, of_pose in enumerate(readings.points):
         held = simulator.held(c)
         for name, e in of_pose.items():
-            off = float(np.linalg.norm(e.error(e.at_rest)))
-            moved[name] = max(moved.get(name, 0.0), off)
+            moved[name] = max(moved.get(name, 0.0), e.distance(e.at_rest))
             noise[name] = float(np.linalg.norm(e.std[e.seen]))
             if len(held):
                 gap = float(np.linalg.norm(held - e.at_rest, axis=1).min())

@@ -92,7 +92,7 @@ def motion_words(fit: ConfigurationResult) -> str:
     """Say how far the simulated markers are off, or how far a simulated body moves."""
     if fit.role == "simulation":
         return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
-    if not fit.points:
+    if not any(point.seen.any() for point in fit.points):
         return "no markers"
     size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else "no equilibrium"
     text = size(fit.rms_after)

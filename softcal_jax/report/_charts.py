@@ -35,7 +35,7 @@ _FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ff
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
     """Draw errors before and after beside the motion, one row per configuration."""
-    shown = [fit for fit in fits if fit.points]
+    shown = [fit for fit in fits if math.isfinite(fit.rms_after)]
     sizes = [v for f in shown for v in (f.rms_before, f.rms_after, f.motion)]
     longest = max((v for v in sizes if math.isfinite(v)), default=0.0)
     if longest == 0.0:
@@ -56,7 +56,7 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
     Each configuration is at the mean place of its simulated points, in the plane in
     which these means differ most.
     """
-    shown = [fit for fit in fits if fit.points]
+    shown = [fit for fit in fits if math.isfinite(fit.rms_after)]
     if not shown:
         return []
     points = [[e.simulated for e in fit.points] for fit in shown]

@@ -243,12 +243,12 @@ def answer_html(answer: _verdict.Answer) -> Html:
         for name, value, interval in answer.values[: _verdict.MOST_VALUES]
     ]
     size = "values" if len(answer.values) <= _LARGE else "values many"
-    content: list[Part] = [node("dl", *values, class_=size)]
+    content: list[Part] = [f"Possible mistake: {text}" for text in answer.mistakes]
+    content.append(node("dl", *values, class_=size))
     left = len(answer.values) - _verdict.MOST_VALUES
     if left > 0:
         content.append(node("p", node("a", f"and {left} more", href="#parameters")))
     content.append(_verdict_html(answer.verdict, _verdict.MOST_REASONS))
-    content += (f"Possible mistake: {text}" for text in answer.mistakes)
     content += [*answer.held_out, f"Next: {answer.next_step}"]
     content.append(node("p", answer.scope, class_="kind"))
     return node("div", *parts_html(content), class_="answer")

@@ -213,7 +213,7 @@ def error_tables(
             before, after = (or_dash(angle, ".2f", "deg") for angle in angles)
             turns.append((*first, before, Cell(after, "strong")))
     shown = []
-    if any(fit.points for fit in fits):
+    if any(math.isfinite(fit.rms_after) for fit in fits):
         shown.append(text_table("Residuals of the markers, rms", columns, points))
     left_out = [] if checks is None else checks.left_out
     rows = [(c.name, distance(c.rms), distance(c.expected)) for c in left_out]

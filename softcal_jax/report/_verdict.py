@@ -15,6 +15,7 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     ParameterEstimate,
 )
+from softcal_jax.configurations import EffectorRecord, rms_distance
 from softcal_jax.identifiability import Assessment
 
 _SCOPE = (
@@ -48,16 +49,16 @@ class RunVerdict(NamedTuple):
 class Answer(NamedTuple):
     """What a calibration answers, in the order in which it is read."""
 
+    mistakes: tuple[str, ...]  # what would explain contradictory data, likeliest first
     values: tuple[tuple[str, str, str], ...]  # name, value and interval
     verdict: RunVerdict  # whether the values can be used
-    mistakes: tuple[str, ...]  # what would explain contradictory data, likeliest first
     held_out: tuple[str, ...]  # how well poses are predicted that were not fitted
     next_step: str
     scope: str  # for what the values hold, and what is held fixed
 
     def lines(self) -> list[str]:
         """Write it for a terminal."""
-        lines = []
+        lines = [f"Possible mistake: {text}" for text in self.mistakes[:1]]
         for name, value, interval in self.values[:MOST_VALUES]:
             lines.append(f"{name} = {value}{f' ({interval})' if interval else ''}")
         if len(self.values) > MOST_VALUES:
@@ -113,6 +114,8 @@ def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
     outlook = assessment.identifiability
     worst = int(np.argmax([p.ratio for p in outlook.parameters]))
     step = result.budget.advice(result.budget.names[worst])
+    if result.parameters[worst].at_bound:
+        step = f"widen the bounds of {outlook.parameters[worst].name}."
     if outlook.advice:
         step = outlook.advice[0][0].lower() + outlook.advice[0][1:]
     if assessment.contradicted:
@@ -162,31 +165,33 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     """Say how well configurations are predicted that were not fitted, in a sentence."""
     asked = ("validation", "prediction")
     poses = [fit for fit in fits if fit.role in asked and fit.converged]
-    points = [fit for fit in poses if fit.points]
-    turns = [fit.turn_after for fit in poses if math.isfinite(fit.turn_after)]
+    points = [e for fit in poses for e in fit.points if e.seen.any()]
+    turns = [e for fit in poses for e in fit.turns if e.seen.any()]
     if not (points or turns):
         return []
     parts = []
     if points:
-        rms = [_rms([p.rms_after for p in points]), _rms([p.motion for p in points])]
-        parts.append(f"{1e3 * rms[0]:.2f} mm rms over {_points(points)}")
-        if rms[1] > 0.0:
-            parts[0] += f", {100.0 * rms[0] / rms[1]:.1f} % of the motion"
+        rms, motion = (
+            rms_distance(points, values)
+            for values in (lambda e: e.simulated, lambda e: e.at_rest)
+        )
+        parts.append(f"{1e3 * rms:.2f} mm rms over {_points(points, turns)}")
+        if motion > 0.0:
+            parts[0] += f", {100.0 * rms / motion:.1f} % of the motion"
     if turns:
-        parts.append(f"{math.degrees(_rms(turns)):.2f} deg rms in orientation")
+        off = math.degrees(rms_distance(turns, lambda e: e.simulated))
+        parts.append(f"{off:.2f} deg rms in orientation")
+    poses = [fit for fit in poses if any(e.seen.any() for e in fit.effectors)]
     held_out = poses[0].role == "validation"
     head = "Held-out error" if held_out else "Prediction error"
     of = poses[0].name if len(poses) == 1 else f"{len(poses)} poses"
     seen = " not used in the fit" * (held_out and len(poses) > 1)
-    return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(points)}."]
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(poses)}."]
 
 
 def _range(poses: Sequence[ConfigurationResult]) -> str:
     """Name the poses that are predicted best and worst, and quantiles of many."""
+    poses = [pose for pose in poses if math.isfinite(pose.rms_after)]
     if len(poses) < 2:
         return ""
     errors = 1e3 * np.array([pose.rms_after for pose in poses])
@@ -199,9 +204,8 @@ def _range(poses: Sequence[ConfigurationResult]) -> str:
     return f"; {ends}, median {half:.2f} mm, 95th percentile {most:.2f} mm"
 
 
-def _points(poses: Sequence[ConfigurationResult]) -> str:
-    """Count the markers and the 6-D sensors of a pose, in words."""
-    turning = {turn.name for pose in poses for turn in pose.turns}
-    names = {point.name for pose in poses for point in pose.points}
+def _points(points: Sequence[EffectorRecord], turns: Sequence[EffectorRecord]) -> str:
+    """Count the markers and the 6-D sensors that were measured, in words."""
+    turning, names = ({e.name for e in of} for of in (turns, points))
     counts = {"marker": len(names - turning), "6-D sensor": len(names & turning)}
     return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])

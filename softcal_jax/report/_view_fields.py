@@ -145,8 +145,7 @@ def _distances(pose: ConfigurationResult):
     """Compute how far simulated points are from measured ones [mm]."""
     if not pose.converged or pose.role == "simulation":
         return None
-    seen = [point.seen.any() for point in pose.points]
-    return np.where(seen, 1e3 * np.linalg.norm(pose.error_after, axis=1), np.nan)
+    return np.array([1e3 * point.distance(point.simulated) for point in pose.points])
 
 
 def _law_fields(

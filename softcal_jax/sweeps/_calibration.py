@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax.calibration import CalibrationResult
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import Configuration, rms_distance
 from softcal_jax.fields import ParameterSpace, random_starts
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
@@ -216,12 +216,12 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
 
 def _figures(result: CalibrationResult) -> dict[str, Any]:
     """Return what a row keeps of a calibration, in SI units."""
-    held_out = [f for f in result.configurations if f.role == "validation"]
+    poses = [f for f in result.configurations if f.role == "validation"]
+    held_out = [point for pose in poses for point in pose.points]
     last = result.history[-1]
     figures: dict[str, Any] = {FIT: last.rms}
     if held_out:
-        errors = np.concatenate([f.error_after for f in held_out])
-        figures[HELD_OUT] = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+        figures[HELD_OUT] = rms_distance(held_out, lambda e: e.simulated)
     for q in result.parameters:
         figures[f"{q.name} [{q.unit or '-'}]"] = q.value
     figures |= {_STEPS: len(result.history) - 1, _COST: last.cost}

@@ -38,6 +38,16 @@ def test_what_slides_is_named(model):
     assert doubt in assess(result).reasons
 
 
+def test_what_slides_in_several_poses_is_one_doubt(model):
+    """The one in which most slides comes first."""
+    fits = [
+        replace(make_fit(model.mesh, name), robot=pressed(model, sliding=share).robot)
+        for name, share in (("press 3", 0.3), ("press 4", 0.4))
+    ]
+    (doubt,) = make_result(model=model, fits=fits).contact_doubts
+    assert says(doubt, '"press 4" and "press 3": up to 40 % of what touches "probe"')
+
+
 def test_a_rim_slides_always(model):
     assert doubts(model, sliding=0.05).contact_doubts == ()
     assert len(doubts(model, sliding=0.051).contact_doubts) == 1

@@ -9,18 +9,27 @@ from scipy.stats import chi2
 from wording import says
 
 from softcal_jax.calibration import (
+    CalibrationWarning,
     _weighing,
     build_problem,
     calibrate,
     evaluate,
     levenberg_marquardt,
 )
-from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
+from softcal_jax.calibration._noise import read_once
+from softcal_jax.configurations import (
+    Configuration,
+    Markers,
+    Support,
+    SurfaceForce,
+    configuration_lanes,
+)
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import assess, identify
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.report import held_out_sentences
 from softcal_jax.robots import simulated_measurements
 
 STD, OFFSET = 1e-4, 0.5e-3
@@ -376,3 +385,58 @@ def test_the_fit_without_a_pose_is_that_of_a_calibration_without_it():
     np.testing.assert_allclose(without.step(), moved, rtol=5e-2)
     with pytest.raises(ValueError, match=r"'load 9'.*load 0"):
         result.linear.without("load 9")
+
+
+@pytest.mark.parametrize("noise", ["stated", "estimated"])
+def test_a_reading_counts_once(noise):
+    """However often it stands in the fitted configurations: one error, one weight."""
+    data = measured(3, offset=0.0)
+    # The load is another one, and of the third only two markers.
+    few = Markers(MARKERS.names[1:], MARKERS.positions[1:], STD)
+    again = [
+        replace(data[1], name="again", loads=data[2].loads),
+        replace(data[2], name="partly", markers=few, measured=data[2].measured[1:]),
+    ]
+    once = fit(data, noise=noise)
+    with pytest.warns(CalibrationWarning, match="again has the readings of load 1; "):
+        twice = fit([*data, *again], noise=noise)
+    for one, two in zip(once.parameters, twice.parameters, strict=True):
+        assert two.value == pytest.approx(one.value, rel=1e-6)
+        assert two.standard_error == pytest.approx(one.standard_error, rel=1e-6)
+    assert twice.uncertainty.degrees_of_freedom == once.uncertainty.degrees_of_freedom
+    assert twice.uncertainty.chi_squared == pytest.approx(once.uncertainty.chi_squared)
+    assert says(assess(twice).reasons, "partly has the readings of load 2", "once")
+    assert not any("count once" in reason for reason in assess(once).reasons)
+    assert len(twice.checks.left_out) == len(data)
+
+
+def test_a_reading_that_is_fitted_is_not_held_out():
+    data = measured(3, offset=0.0)
+    result = fit(data, validation=replace(data[1], name="again"))
+    assert says(assess(result).reasons, "The error of again is not held out")
+    assert held_out_sentences(result.configurations) == []
+    assert says(str(result), "Doubt: again has the readings of load 1")
+
+
+def test_what_agrees_but_is_no_reading_twice():
+    """Markers at rest, a number alone, some of many, references of displacements."""
+    data = measured(3)
+    at_rest = [replace(c, measured=MARKERS.positions) for c in data[:2]]
+    one = Markers(MARKERS.names, MARKERS.positions, STD, axes="x")
+    near = np.where([[True], [False], [False]], data[0].measured, data[1].measured)
+    x = np.asarray(MARKERS.positions) + np.array([[1e-3], [0.0], [0.0]]) * [1, 0, 0]
+    from_rest = [replace(c, displacement_from="load 0") for c in data]
+    for several in (
+        at_rest,
+        [replace(c, markers=one, measured=x) for c in data[:2]],
+        [data[0], replace(data[1], measured=near)],
+        [data[0], *from_rest[1:]],
+    ):
+        lanes = configuration_lanes(MESH, several)
+        assert read_once(several, lanes)[1] == {}
+    # The reference keeps its reading, wherever it stands.
+    several = [replace(data[0], name="pose"), data[0], from_rest[1]]
+    lanes, repeats = read_once(several, configuration_lanes(MESH, several))
+    assert repeats == {"pose": "load 0"}
+    weight = np.asarray(lanes.arrays.effectors.inverse_std)
+    np.testing.assert_array_equal(weight.any(axis=(1, 2)), [False, True, True])

@@ -2,14 +2,26 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from export.handmade import AT_REST, make_simulation, small_model
+import pytest
+from export.handmade import (
+    AT_REST,
+    make_fit,
+    make_result,
+    make_simulation,
+    small_model,
+)
 from wording import says
 
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.calibration._configuration_result import configuration_results
 from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
+from softcal_jax.identifiability import assess
+from softcal_jax.plotting._configuration import motion_words
+from softcal_jax.report import held_out_sentences
+from softcal_jax.report._charts import error_chart, workspace_chart
 from softcal_jax.sensitivity import Response
+from softcal_jax.sweeps._calibration import HELD_OUT, _figures
 
 
 def one_fit(before, y) -> ConfigurationResult:
@@ -61,3 +73,54 @@ def test_a_pose_in_balance_up_to_rounding_alone_is_noted():
     idle = replace(fit, residual=0.1, rounding=1.0, at_rounding=True)
     (note,) = _rounding_notes([fit, stopped, idle])
     assert says(note, "droop", "rounding", "5.0e-06", "rtol", "3.0e-06")
+
+
+def unmeasured(record):
+    """The record of an effector that is followed there, but not measured."""
+    return replace(record, measured=np.nan * record.std, std=np.inf * record.std)
+
+
+def test_a_point_that_is_not_measured_counts_nowhere():
+    """Of two markers, both 2 mm off, one was measured: not 2 mm / sqrt(2)."""
+    model = small_model()
+    whole = make_fit(model.mesh, "held out", "validation", (0.002, 0.0, 0.0))
+    whole = replace(whole, W_ep=np.ones((2, 3, 2)))
+    measured, followed = whole.points
+    fit = replace(whole, effectors=(measured, unmeasured(followed)))
+    np.testing.assert_allclose(fit.rms_after, 2e-3)
+    np.testing.assert_allclose([fit.rms_before, fit.motion], [8e-3, 20e-3])
+    np.testing.assert_allclose(fit.error_after, [[2e-3, 0.0, 0.0], [np.nan] * 3])
+    assert followed.distance(followed.simulated) == fit.rms_after
+    assert np.isnan(unmeasured(followed).distance(followed.simulated))
+    # Over several poses each point counts once, wherever it was measured.
+    far = make_fit(model.mesh, "far", "validation", (0.005, 0.0, 0.0))
+    rms = np.sqrt((2.0**2 + 2 * 5.0**2) / 3)
+    (sentence,) = held_out_sentences([fit, far])
+    assert says(sentence, f"{rms:.2f} mm rms over 2 markers", f"{rms / 0.2:.1f} %")
+    results = [make_result(model=model, fits=fits) for fits in ([fit], [whole])]
+    assert make_result(fits=[fit, far]).missed == pytest.approx(rms / 20.0)
+    figure = _figures(make_result(fits=[fit, far]))[HELD_OUT]
+    assert figure == pytest.approx(1e-3 * rms)
+    stds = [assess(result).predictions[0].std for result in results]
+    assert stds[0] == pytest.approx(stds[1])
+
+
+def test_a_pose_without_measured_points_has_no_distance():
+    """Nor has it a dot in a chart, or a nan in a sentence."""
+    model = small_model()
+    fit = make_fit(model.mesh)
+    bare = replace(fit, effectors=tuple(map(unmeasured, fit.effectors)), name="bare")
+    assert np.isnan(
+        [bare.rms_after, bare.rms_before, bare.motion, bare.turn_after]
+    ).all()
+    assert not bare.misfit("estimated", 1.0)
+    assert str(bare) == "bare (calibration): nothing measured"
+    assert motion_words(bare) == "no markers"
+    held_out = replace(bare, role="validation")
+    assert held_out_sentences([held_out]) == []
+    result = make_result(model=model, fits=[fit, held_out])
+    assert result.missed == 0.0
+    assert assess(result).predictions == assess(make_result(fits=[fit])).predictions
+    assert "bare" not in str(error_chart(result.configurations))
+    assert "nan" not in str(workspace_chart(result.configurations))
+    assert "nan" not in str(result)

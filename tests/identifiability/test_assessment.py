@@ -22,6 +22,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause, ErrorColumns
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.report import answer_of
 from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 
@@ -270,6 +271,71 @@ def test_parameter_on_its_bound(model, data):
     assert not verdict.identified
     assert says(verdict.reasons, "E of root ended", "bound")
     assert not any("E of tip ended" in reason for reason in verdict.reasons)
+
+
+def test_a_bound_that_the_data_exclude_makes_values_useless(model, data, good):
+    """The fit without the bound is five standard errors beyond it, or half of one."""
+    wanted, error = good.parameters[0].value, good.parameters[0].standard_error
+    for beyond, outcome in ((5.0, "do not use"), (0.5, "take with care")):
+        for noise in ("stated", "estimated"):
+            upper = wanted - beyond * error
+            result = fit(model, space(root_upper=upper), data, noise=noise)
+            verdict = assess(result)
+            assert verdict.outcome == outcome
+            assert verdict.contradicted == (outcome == "do not use")
+            (reason, *_) = [r for r in verdict.reasons if "bound" in r]
+            assert "nan" not in f"{verdict} {answer_of(result, verdict).next_step}"
+            if outcome == "do not use":
+                assert reason == verdict.reasons[0]
+                assert says(reason, "E of root ended on a bound", "data push")
+
+
+def test_a_budget_without_a_standard_error_has_no_nan(good):
+    budget = replace(good.budget, noise=np.full((2, 2), np.nan))
+    assert says(budget.advice("E of root"), "E of root has no standard error")
+    assert budget.readable(0, np.nan) == "an unknown amount"
+
+
+def test_poses_of_one_reason_share_it(model, data):
+    """Both are pulled to the wrong side; the farthest comes first."""
+    rest = np.asarray(POINTS)
+    wrong = [
+        replace(c, measured=rest - (c.measured - rest) * [1.0, 1.0, -1.0]) for c in data
+    ]
+    result = fit(
+        model,
+        space(),
+        data,
+        validation=[replace(c, name=f"wrong {c.name}") for c in wrong],
+    )
+    first, second = sorted(result.configurations[2:], key=lambda c: -c.rms_after)
+    (reason,) = [r for r in assess(result).reasons if "check" in r]
+    assert says(reason, first.name, "mm off", second.name, "mm off", "for each, check")
+
+
+def test_reasons_stand_by_what_they_may_change(good):
+    """A mesh that may change a value by 18 % of it, a bound by as much as its error."""
+    mesh = beam(0.1, 0.02, 0.02, (4, 1, 1), order=2)
+    model = build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)
+    on_bound = replace(good.parameters[1], at_bound=True)
+    for error, first in ((0.05, "two quadratic tets"), (0.05, "on a bound")):
+        refinement = Cause(MESH, ("refinement",), np.array([[error], [0.01]]))
+        changed = {"causes": (refinement,)}
+        linear = good.linear
+        if first == "on a bound":
+            linear = linear.with_scale(100.0 * linear.scale)
+            linear = replace(linear, r=0.0 * linear.r)
+        result = replace(
+            good,
+            model=model,
+            budget=replace(good.budget, **changed),
+            parameters=(good.parameters[0], on_bound),
+            uncertainty=replace(good.uncertainty, noise_scale=linear.scale),
+        )
+        reasons = assess(result).reasons
+        found = [k for k in reasons if "quadratic tets" in k or "on a bound" in k]
+        assert first in found[0]
+        assert len(found) == 2
 
 
 def test_data_too_coarse_to_tell(model, data):
