@@ -396,20 +396,31 @@ def _results(
             min_det_F=float(solution.min_det_F[i]),
             robot=states[i],
             posed=configuration,
-            self_contact=_self_contact(model, solution, i),
+            self_contact=_self_contact(model, lanes, solution, states[i], i),
         )
         for i, configuration in enumerate(configurations)
     )
 
 
 def _self_contact(
-    model: Model, solution: EquilibriumSolution, i: int
+    model: Model,
+    lanes: ConfigurationLanes,
+    solution: EquilibriumSolution,
+    state: RobotState | None,
+    i: int,
 ) -> SelfContact | None:
     """Find where the body of a configuration with an equilibrium touches itself."""
     if not solution.converged[i]:
         return None
-    mesh, u = model.mesh, np.asarray(solution.displacement[i])
-    return self_contact(mesh, u[: mesh.n_nodes])
+    n, bodies = model.mesh.n_nodes, model.mechanism.bodies
+    carrier = np.full(n, -1)
+    carrier[bodies.attached] = bodies.owner[bodies.body]
+    held = [
+        k for k, of in enumerate(state.bodies if state else ()) if of.state == "held"
+    ]
+    placed = np.asarray(lanes.arrays.fixed)[i, :n].all(axis=1) | np.isin(carrier, held)
+    u = np.asarray(solution.displacement[i])[:n]
+    return self_contact(model.mesh, u, carrier=carrier, placed=placed)
 
 
 def _outcome(solution: EquilibriumSolution, i: int) -> str:

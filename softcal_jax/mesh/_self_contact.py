@@ -49,26 +49,49 @@ class SelfContact(Module):
 
 
 def self_contact(
-    mesh: TetMesh, displacement: Float[HostArray, "n_nodes 3"]
+    mesh: TetMesh,
+    displacement: Float[HostArray, "n_nodes 3"],
+    *,
+    carrier: Int[HostArray, " n_nodes"] | None = None,
+    placed: Bool[HostArray, " n_nodes"] | None = None,
 ) -> SelfContact | None:
     """Find nodes of the surface that a displacement [m] moves into the body elsewhere.
 
     Whether a node lies in a tet is decided by the map of the tet itself, so the faces
     of a quadratic tet are as curved as they are, and a gap that stays open, however
     thin, is no contact. Parts that overlap at rest count by how much farther they go.
+    Parts whose places to each other are given, like two blocks mounted on one rigid
+    body, are no contact: they cannot move against each other.
 
     Not seen are overlaps that hold no node of the surface, such as two edges that cross
     between their nodes; those within two layers of tets around a node, as in the root
     of a closing notch; and those shallower than 1e-4 of the size of the mesh.
+
+    Args:
+        mesh: The mesh at rest.
+        displacement: Displacement of its nodes [m].
+        carrier: Number of the rigid body that moves each node, negative for none; none
+            by default. A node does not touch tets that its body moves, wholly or in
+            part.
+        placed: Whether the place of each node is imposed, as by a clamp; none by
+            default. Such nodes do not touch what is between such nodes alone.
 
     Returns:
         The nodes and their depths; None without any.
     """
     x, surface = mesh.points + displacement, np.unique(boundary_faces(mesh))
     node, tet, b = _inside(mesh, x, surface)
+    N, moves = shape_functions(b, mesh.tets.shape[1]), np.ones(len(node), bool)
+    if carrier is not None:
+        together = (carrier[mesh.tets[tet]] == carrier[node, None]).any(axis=1)
+        moves &= ~together | (carrier[node] < 0)
+    if placed is not None:
+        # On a face between what is placed and what deforms, only its nodes count.
+        free = np.sum(np.abs(N) * ~placed[mesh.tets[tet]], axis=1)
+        moves &= ~placed[node] | (free > INSIDE)
+    node, tet, N = node[moves], tet[moves], N[moves]
     if not node.size:
         return None
-    N = shape_functions(b, mesh.tets.shape[1])
     depth = _depth(mesh, np.einsum("na,nai->ni", N, mesh.points[mesh.tets[tet]]))
     order = np.argsort(-depth)[: np.sum(depth > _LEAST * mesh.size)]
     if not order.size:

@@ -10,7 +10,9 @@ from export.handmade import make_result, make_simulation
 from scipy.spatial.transform import Rotation
 from wording import says
 
+from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.calibration import simulation_result
+from softcal_jax.configurations import Configuration, Support
 from softcal_jax.equilibrium import build_model
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam, boundary_faces, check_mesh, self_contact
@@ -136,3 +138,92 @@ def test_poses_that_touch_are_doubted(distance):
     doubts = replace(known, configurations=tuple(fits)).contact_doubts
     assert (doubts != ()) == (distance > GAP)
     assert not doubts or says(doubts, "in droop", "mm deep near (", "not modelled")
+
+
+DROP = 0.011
+"""How far the end of the upper arm comes down: 1 mm into that of the lower one [m]."""
+
+
+def ends(mesh):
+    """Nodes of the last 10 mm of the lower and of the upper arm."""
+    x, _, z = mesh.points.T
+    last = x > 0.0499
+    return np.flatnonzero(last & (z < 1.5 * GAP)), np.flatnonzero(
+        last & (z > 1.5 * GAP)
+    )
+
+
+def dropped(mesh):
+    """Lower the end of the upper arm, which stays rigid; only the ends overlap."""
+    x, _, z = mesh.points.T
+    u = np.zeros_like(mesh.points)
+    u[:, 2] = -DROP * np.minimum(x / 0.05, 1.0) * (z > 1.999 * GAP)
+    return u
+
+
+def contact_of_ends(bodies=(), states=None, supports=("x_min",)):
+    """Self-contact of a pose that has such an equilibrium; nothing is solved."""
+    mesh = c_shape(1)
+    for name, nodes in zip(("lower", "upper"), ends(mesh), strict=True):
+        mesh = mesh.with_node_group(name, nodes)
+    law = NeoHookean(1e5, 0.3)
+    model = build_model(mesh, law, density=1e3, bodies=bodies, solver="none")
+    _, solution = make_simulation(model, (True,))
+    u = np.zeros((1, model.n_points, 3))
+    u[0, : mesh.n_nodes] = dropped(mesh)
+    solution = eqx.tree_at(lambda s: s.displacement, solution, jnp.asarray(u))
+    pose = Configuration("pose", supports, bodies=states or {})
+    (result,) = simulation_result(model, [pose], solution).configurations
+    return result.self_contact
+
+
+def rigid_ends(**options):
+    return RigidBody("low", "lower"), RigidBody("up", "upper", **options)
+
+
+MOUNTED = Pose((0.0, 0.0, -DROP))
+
+
+def test_blocks_on_one_rigid_body_are_no_contact():
+    """Like a sensor in the block that carries it: they never move to each other."""
+    assert contact_of_ends(rigid_ends(mounting=MOUNTED, tied_to="low")) is None
+
+
+@pytest.mark.parametrize(
+    ("bodies", "states"),
+    [
+        (rigid_ends(), {}),
+        (rigid_ends(), {"low": "held"}),
+        (rigid_ends()[1:], {}),
+        (rigid_ends()[:1], {}),
+        ((), {}),
+    ],
+)
+def test_walls_and_blocks_that_move_against_each_other_are_in_contact(bodies, states):
+    contact = contact_of_ends(bodies, states)
+    assert contact is not None
+    assert contact.depth[0] == pytest.approx(DROP - GAP)
+
+
+def test_parts_whose_places_are_imposed_are_no_contact():
+    """Bodies that are held where they were mounted, and nodes that clamps hold."""
+    held = {"low": "held", "up": BodyState("held")}
+    assert contact_of_ends(rigid_ends(mounting=MOUNTED), held) is None
+    clamps = ("x_min", "lower", Support("upper", displacement=(0.0, 0.0, -DROP)))
+    assert contact_of_ends(supports=clamps) is None
+    # A support that lets them slide imposes no place.
+    slides = (*clamps[:2], Support("upper", "z", (0.0, 0.0, -DROP)))
+    assert contact_of_ends(supports=slides) is not None
+
+
+def test_a_block_is_no_contact_of_tets_that_its_body_moves_in_part():
+    """As where a leg leaves its socket: those tets are between it and its own body."""
+    mesh, (lower, upper) = c_shape(1), ends(c_shape(1))
+    carrier = np.full(mesh.n_nodes, -1)
+    # The upper side of the lower arm, which the upper arm enters, deforms.
+    carrier[[*upper, *lower[mesh.points[lower, 2] < 0.9 * GAP]]] = 0
+    entered, without = (
+        self_contact(mesh, dropped(mesh), carrier=c).nodes for c in (carrier, None)
+    )
+    assert np.isin(without, upper).any()
+    assert np.isin(entered, lower).all()
