@@ -55,6 +55,7 @@ from softcal_jax.calibration._step import initial_state
 from softcal_jax.calibration._weighing import SoughtNoise, Weighed, weighed_fit
 from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
+from softcal_jax.fields import asked_errors
 from softcal_jax.inference import (
     ErrorColumns,
     LinearModel,
@@ -193,7 +194,8 @@ def _judged(
     # A held-out configuration of a recording that is fitted, too, is no witness.
     names, n = independent_recordings(poses), len(task.fitted)
     witnesses = [*names[:n], *(None if k in names[:n] else k for k in names[n:])]
-    more = {"space": task.space, "z": z, "spread": spread}
+    asked = asked_errors(task.space, z, model=predicted.model)
+    more = {"space": task.space, "z": z, "asked": asked, "spread": spread}
     recordings = recording_estimates(linear, witnesses, **more)
     return linear, spread, replace(checks, recordings=recordings)
 

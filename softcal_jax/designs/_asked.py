@@ -24,7 +24,9 @@ from softcal_jax.fields import (
     ParameterSpace,
     SetupParameter,
     command,
+    find_field,
 )
+from softcal_jax.materials import youngs_moduli
 from softcal_jax.unknowns import held_nodes
 
 
@@ -104,15 +106,16 @@ def check_goals(model: Model, goals: Sequence[Configuration]) -> None:
                 )
 
 
-def within(foam: FoamTable, space: ParameterSpace) -> ParameterSpace:
+def within(foam: FoamTable, model: Model, space: ParameterSpace) -> ParameterSpace:
     """Limit the moduli of a design to those of a foam."""
-    names = {field.rpartition(".")[2]: field for field in space.field_names}
-    if {"E_l", "E_t"} <= {*names}:
+    names = {find_field(model, name).path: name for name in space.field_names}
+    moduli = [names.get("law" + path, "") for path, _ in youngs_moduli(model.law)]
+    if len(moduli) == 2 and all(moduli):
         fading = any(getattr(entry, "core", 0.0) > 0.0 for entry in space.entries)
-        region = foam_region(foam, names["E_l"], names["E_t"], fading=fading)
+        region = foam_region(foam, *moduli, fading=fading)
         # The region also says which of the two is the larger one.
         return replace(space, regions=(region,), tensor_steps=False)
-    if "E" not in names:
+    if len(moduli) != 1 or not all(moduli):
         raise ValueError(
             f"{foam.infill} limits E_l and E_t together, or E of an isotropic body, "
             f"and the design has {listed(space.field_names) or 'no field'}: design "
@@ -120,7 +123,7 @@ def within(foam: FoamTable, space: ParameterSpace) -> ParameterSpace:
         )
     ends = isotropic_range(foam)
     entries = [
-        _narrowed(entry, *ends, foam.infill) if names["E"] in entry.fields else entry
+        _narrowed(entry, *ends, foam.infill) if moduli[0] in entry.fields else entry
         for entry in space.entries
     ]
     return replace(space, entries=entries)

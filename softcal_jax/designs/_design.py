@@ -265,7 +265,7 @@ def _calibrated(
         else replace(space, entries=(*entries, *asked.commands))
     )
     if asked.foam is not None:
-        whole = within(asked.foam, whole)
+        whole = within(asked.foam, asked.model, whole)
     if asked.change is not None:
         whole = replace(whole, likeness=asked.change.likeness(asked.model, whole))
     with warnings.catch_warnings():

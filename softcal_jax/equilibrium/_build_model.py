@@ -26,7 +26,7 @@ from softcal_jax.equilibrium._sparsity import (
     build_sparsity,
     destinations,
 )
-from softcal_jax.materials import AbstractLaw, with_arrays
+from softcal_jax.materials import UNREMARKABLE, AbstractLaw, fields_of_tets, with_arrays
 from softcal_jax.mesh import MeshWarning, TetMesh, check_mesh
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
@@ -66,8 +66,8 @@ def build_model(
         bodies: The rigid bodies.
         actuators: The actuators.
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
-            quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
-            "displacement" otherwise; `Model.formulation` says which.
+            quadratic tets whose law declares a Poisson's ratio (`POISSON`), of 0.49 or
+            more, and "displacement" otherwise; `Model.formulation` says which.
         solver: Sparse direct solver: "pardiso" or "klu" on the CPU, by default that of
             the platform; or "pardiso-host", the default where JAX computes on a GPU
             (extra `gpu`). "none" prepares none: such a model can be looked at, not
@@ -235,13 +235,12 @@ def _formulation(
     choice: Literal["auto"] | Formulation, law: AbstractLaw, order: int
 ) -> Formulation:
     if choice == "auto":
-        nu = [
-            np.max(np.asarray(leaf))
-            for path, leaf in jax.tree_util.tree_leaves_with_path(law)
-            if jax.tree_util.keystr(path).endswith(".nu")
-        ]
-        stiff = order == 2 and any(value >= 0.49 for value in nu)
-        return "mean-dilatation" if stiff else "displacement"
+        locking = (
+            np.max(np.asarray(leaf)) >= kind.locks
+            for _, leaf, declared in fields_of_tets(law)
+            if (kind := declared.get("kind", UNREMARKABLE)).locks < np.inf
+        )
+        return "mean-dilatation" if order == 2 and any(locking) else "displacement"
     if choice in ("displacement", "mean-dilatation"):
         return choice
     raise ValueError(

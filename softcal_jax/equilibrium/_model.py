@@ -15,12 +15,7 @@ from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
-from softcal_jax.materials import (
-    DENSITY,
-    AbstractLaw,
-    fields_of_tets,
-    with_arrays,
-)
+from softcal_jax.materials import AbstractLaw, fields_of_tets, with_arrays
 from softcal_jax.mesh import TetMesh, volumes
 
 Nodal = Float[Array, "n_points 3"]
@@ -46,7 +41,7 @@ class Model(Module):
 
     mesh: TetMesh
     law: AbstractLaw
-    density: Float[Array, "..."] = eqx.field(metadata=DENSITY)
+    density: Float[Array, "..."]
     mechanism: Mechanism
     shape_gradients: Float[Array, "n_blocks n_qp n_en 3 block"]
     weights: Float[Array, "n_blocks n_qp block"]
@@ -167,7 +162,7 @@ def to_blocks(
 
 
 def check_fields(law: AbstractLaw, n_tets: int) -> None:
-    for path, leaf in fields_of_tets(law):
+    for path, leaf, _ in fields_of_tets(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(
                 f"law{path} has shape {jnp.shape(leaf)}; expected one value, or one "

@@ -1,7 +1,5 @@
 """Deformed bodies, their fields in each tet, and what moves them, for ParaView."""
 
-import dataclasses
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
 from softcal_jax.fields import find_field
-from softcal_jax.materials import Fibre, fields_of_tets
+from softcal_jax.materials import DENSITY, Fibre, fields_of_tets
 from softcal_jax.mesh import volumes
 
 if TYPE_CHECKING:
@@ -198,7 +196,7 @@ def tet_fields(
     """
     errors = {find_field(model, name).path: e for name, e in standard_errors.items()}
     cells = {}
-    for name, path, leaf in _named(model):
+    for name, path, leaf, _ in _named(model):
         values = np.asarray(leaf, float)
         if values.ndim == 0:
             values = np.full(model.n_tets, values)
@@ -211,27 +209,20 @@ def tet_fields(
 
 def field_units(model: Model) -> dict[str, str]:
     """Return the SI units of `tet_fields` by name, where the law declares one."""
-    units = {}
-    for name, path, _ in _named(model):
-        owner, _, attribute = path.rpartition(".")
-        module = operator.attrgetter(owner)(model) if owner else model
-        metadata = {f.name: f.metadata for f in dataclasses.fields(module)}[attribute]
-        if "unit" in metadata:
-            units[name] = metadata["unit"]
-    return units
+    return {name: of["unit"] for name, _, _, of in _named(model) if "unit" in of}
 
 
-def _named(model: Model) -> Iterator[tuple[str, str, Any]]:
-    """Yield name, path in the model and values of the density and the law's fields."""
-    leaves: list[tuple[str, Any]] = [("density", model.density)]
-    leaves += [("law" + path, leaf) for path, leaf in fields_of_tets(model.law)]
+def _named(model: Model) -> Iterator[tuple[str, str, Any, Mapping[str, Any]]]:
+    """Yield name, path in the model, values and declaration of density and fields."""
+    leaves: list[tuple[str, Any, Any]] = [("density", model.density, DENSITY)]
+    leaves += [("law" + path, leaf, of) for path, leaf, of in fields_of_tets(model.law)]
     # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
-    leaves = [(path, leaf) for path, leaf in leaves if "[" not in path]
-    shorts = [path.rpartition(".")[2] for path, _ in leaves]
-    for short, (path, leaf) in zip(shorts, leaves, strict=True):
+    leaves = [field for field in leaves if "[" not in field[0]]
+    shorts = [path.rpartition(".")[2] for path, *_ in leaves]
+    for short, field in zip(shorts, leaves, strict=True):
         # A law with two elasticities has two E: use the whole path as the name then.
-        alone = shorts.count(short) == 1
-        yield short if alone else path.removeprefix("law."), path, leaf
+        path = field[0] if short == "density" else field[0].removeprefix("law.")
+        yield short if shorts.count(short) == 1 else path, *field
 
 
 def principal_stretches(states: TetStates) -> Float[HostArray, "n_tets 3"]:

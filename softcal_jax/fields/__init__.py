@@ -13,6 +13,7 @@ from softcal_jax.fields._parameters import (
     constants_of as constants_of,
     find_field as find_field,
     kind_of as kind_of,
+    region_tets as region_tets,
     set_field as set_field,
 )
 from softcal_jax.fields._setup import (

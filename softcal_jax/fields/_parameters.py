@@ -3,7 +3,7 @@
 import operator
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -16,7 +16,7 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, is_traced
 from softcal_jax._units import readable
-from softcal_jax.materials import UNREMARKABLE, ConstantKind, fields_of_tets
+from softcal_jax.materials import DENSITY, UNREMARKABLE, ConstantKind, fields_of_tets
 
 
 def set_field(
@@ -66,13 +66,15 @@ def region_tets(mesh: Any, region: str | None) -> HostArray:
 def find_field(model: Any, field: str):
     """Return the function from a model to a field of its law, or to its density.
 
-    The name is like "E", or a dotted path if that is not unique.
+    The name is like "E", or a dotted path if that is not unique; "density" is that of
+    the model, even if the law has one.
 
     Raises:
         ValueError: If no field has that name, or more than one.
     """
     paths = [path for path, _ in constants_of(model)]
     named = [path for path in paths if ("." + path).endswith("." + field)]
+    named = [field] if field in named else named
     if len(named) != 1:
         problem = "is not unique" if named else "does not exist"
         if hasattr(model.law, field):
@@ -83,15 +85,10 @@ def find_field(model: Any, field: str):
 
 def constants_of(model: Any) -> Iterator[tuple[str, ConstantKind]]:
     """List paths and kinds of the constants of a model: of its law, and its density."""
-    of_law = ["law" + path for path, _ in fields_of_tets(model.law)]
-    for path in [*of_law, "density"]:
-        if "[" in path:  # of a tuple, like the local axes of a fibre
-            continue
-        owner, _, name = ("." + path).rpartition(".")
-        owner = operator.attrgetter(owner[1:])(model) if owner else model
-        declared = fields(owner) if is_dataclass(owner) else ()
-        kinds = {f.name: f.metadata.get("kind") for f in declared}
-        yield path, kinds.get(name) or UNREMARKABLE
+    for path, _, declared in fields_of_tets(model.law):
+        if "[" not in path:  # of a tuple, like the local axes of a fibre
+            yield "law" + path, declared.get("kind", UNREMARKABLE)
+    yield "density", DENSITY["kind"]
 
 
 def kind_of(model: Any, field: str) -> ConstantKind:

@@ -23,11 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._parameters import AbstractEntry, Parameter, find_field
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, find_field, kind_of
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
-from softcal_jax.materials import ANGLE, UNREMARKABLE, kinds_by_name
+from softcal_jax.materials import ANGLE, UNREMARKABLE
 
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
@@ -40,20 +40,24 @@ def asked_errors(
     space: ParameterSpace,
     z: Float[Array | HostArray, " n_p"],
     precision: float = PRECISION,
+    *,
+    model: Any = None,
 ) -> Float[HostArray, " n_p"]:
     """Return the standard errors of the scaled parameters that are asked for [-].
 
-    They follow from the scaled values z and the precision p by the table above.
+    They follow from the scaled values z and the precision p by the table above. The law
+    of the model declares what its constants are; where none does, angles have a unit.
 
     Raises:
-        ValueError: If the precision is not positive and finite.
+        ValueError: If the precision is not positive and finite, or the model lacks a
+            field.
     """
     check_precision(precision)
     values = np.asarray(space.from_scaled(jax.device_put(z)))
     pairs = [(entry, q) for entry in space.entries for q in entry.parameters]
-    kinds, asked = kinds_by_name(), []
+    asked = []
     for (entry, parameter), value in zip(pairs, values, strict=True):
-        in_si = precision * _unit(entry, parameter, abs(float(value)), kinds)
+        in_si = precision * _unit(entry, parameter, abs(float(value)), model)
         log = parameter.scale == "log"
         asked.append(in_si / (float(value) if log else float(parameter.unit_step)))
     return np.maximum(asked, _LEAST)
@@ -65,15 +69,17 @@ def check_precision(precision: float) -> None:
         raise ValueError(f"precision must be positive, like 0.1, got {precision:g}.")
 
 
-def _unit(entry: AbstractEntry, q: Parameter, size: float, kinds: dict) -> float:
+def _unit(entry: AbstractEntry, q: Parameter, size: float, model: Any) -> float:
     """Return the standard error asked for by a precision of 1, in SI units."""
     if isinstance(entry, SetupParameter):
         if entry.quantity.relative:
             return size
         usual = entry.quantity.uncertain
         return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
-    usual = ANGLE if q.unit == "rad" else UNREMARKABLE
-    kind = kinds.get(q.field.rpartition(".")[2], usual)
+    known = model is not None and q.field in entry.fields
+    kind = kind_of(model, q.field) if known else UNREMARKABLE
+    if kind == UNREMARKABLE and q.unit == "rad":
+        kind = ANGLE
     return size if kind.asked is None else kind.asked
 
 

@@ -143,7 +143,8 @@ def _check_order(space: ParameterSpace) -> None:
 
 def _check_constants(module: eqx.Module) -> None:
     """Run the checks of a law, and of the modules in it, as at construction."""
-    getattr(module, "__check_init__", lambda: None)()
+    for kind in type(module).__mro__:
+        vars(kind).get("__check_init__", lambda _: None)(module)
     for value in vars(module).values():
         if isinstance(value, eqx.Module):
             _check_constants(value)

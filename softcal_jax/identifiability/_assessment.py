@@ -184,6 +184,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         result.linear.with_scale(spread.level),
         result.space,
         result.z,
+        model=result.model,
         precision=result.precision if precision is None else precision,
     )
     fatal = _fatal(result)

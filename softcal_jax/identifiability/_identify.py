@@ -68,6 +68,7 @@ def identifiability(
     space: ParameterSpace,
     z: Float[AnyVector, " n_p"],
     *,
+    model: Model | None = None,
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
     precision: float = PRECISION,
@@ -85,6 +86,8 @@ def identifiability(
         linear: The fit, such as `CalibrationResult.linear`.
         space: The parameters.
         z: Their scaled values, such as `CalibrationResult.z` [-].
+        model: The model, such as `CalibrationResult.model`, whose law declares what the
+            parameters are; see `asked_errors`.
         W_ep: Compliances in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
         precision: Standard error that is asked for, relative to the value [-].
@@ -97,7 +100,7 @@ def identifiability(
         raise ValueError(f"the scale must be positive, got {linear.scale:g}.")
     fit = linear.of_fit().with_free()
     numbers = conditioning(fit.whiten(fit.W) / fit.scale, W_ep=W_ep, W_pp=W_pp)
-    asked = asked_errors(space, z, precision)
+    asked = asked_errors(space, z, precision, model=model)
     in_asked = fit.per(asked)
     spread, alone = spread_of(in_asked), spread_of(in_asked.by_data_alone())
     outlooks = _outlooks(space, z, asked, spread=spread, alone=alone)
@@ -199,6 +202,7 @@ def identify(
         seen.linear,
         seen.space,
         seen.z,
+        model=model,
         W_ep=seen.W_ep,
         W_pp=seen.W_pp,
         precision=precision,

@@ -204,7 +204,7 @@ def rank_configurations(
         progress=progress,
     )
     names = [c.name for c in tried]
-    asked = asked_errors(seen.space, seen.z, precision)
+    asked = asked_errors(seen.space, seen.z, precision, model=model)
     in_asked = seen.linear.per(asked)
     before = _knowledge(in_asked.without(*names))
     gains, unranked = [], []

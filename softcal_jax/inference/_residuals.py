@@ -17,7 +17,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax._units import readable_unit
-from softcal_jax.fields import ParameterSpace, asked_errors
+from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference._least_squares import RANK, span, whitened
 from softcal_jax.inference._linear_model import LinearModel
 from softcal_jax.inference._uncertainty import UNLIKELY, Uncertainty
@@ -235,6 +235,7 @@ def recording_estimates(
     *,
     space: ParameterSpace,
     z: Float[Array, " n_p"],
+    asked: Float[HostArray, " n_p"],
     spread: Uncertainty,
 ) -> tuple[RecordingEstimate, ...]:
     """Estimate parameters from each recording alone, fitted or held out.
@@ -251,6 +252,7 @@ def recording_estimates(
         recordings: Recording of each configuration, None for those to leave out.
         space: The parameters.
         z: Where the fit ended, scaled [-].
+        asked: Standard errors that are asked for, see `fields.asked_errors` [-].
         spread: Its uncertainty by the noise.
     """
     names = [name for name in dict.fromkeys(recordings) if name is not None]
@@ -264,7 +266,7 @@ def recording_estimates(
     per_error = np.concatenate([noise, linear.considered.values], axis=1)
     size = lambda L: np.linalg.norm(L @ per_error, axis=1)
     fits = np.asarray(space.from_scaled(jax.device_put(z)))
-    slopes, asked, optimum = space.slopes(z), asked_errors(space, z), np.asarray(z)
+    slopes, optimum = space.slopes(z), np.asarray(z)
     estimates: dict[int, list[RecordingEstimate]] = {}
     for name in names:
         rows = of_row == name

@@ -31,7 +31,6 @@ REMEDIES = {
     NOISE: "measure more poses, or with less noise",
     "locking": "use quadratic tets",
     "refinement": "take a finer mesh",
-    "nu": "measure nu",
     "density": "weigh the body",
     "gravity": "level the robot",
     "loads": "weigh the loads",

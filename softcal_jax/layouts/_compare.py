@@ -162,7 +162,8 @@ def _score(
     if np.all(last.after.equilibrium.converged):
         z = jnp.asarray(last.run.z)
         linear = last.after.linear(problem, configurations, z)
-        seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
+        linear, model = linear.with_scale(1.0), problem.model
+        seen = identifiability(linear, problem.space, last.run.z, model=model)
     distance, over_noise = rms(last, last.fitted)
     return ModelScore(
         name=name,

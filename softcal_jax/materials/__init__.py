@@ -7,7 +7,6 @@ from softcal_jax.materials._constants import (
     UNREMARKABLE as UNREMARKABLE,
     ConstantKind as ConstantKind,
     constant as constant,
-    kinds_by_name as kinds_by_name,
 )
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,
@@ -34,6 +33,7 @@ from softcal_jax.materials._law import (
     fields_of_tets as fields_of_tets,
     split_law as split_law,
     with_arrays as with_arrays,
+    youngs_moduli as youngs_moduli,
 )
 from softcal_jax.materials._ogden import Ogden as Ogden
 from softcal_jax.materials._rubber import (

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -95,17 +94,6 @@ CONTRACTION = ConstantKind("nu", most=0.5, asked=0.5)
 """A ratio of an anisotropic law, which does not make it incompressible by itself."""
 
 
-def kinds_by_name() -> dict[str, ConstantKind]:
-    """Return the kinds of all constants that are declared, also by other packages."""
-    known, classes = {"density": DENSITY["kind"]}, [Module]
-    for declared in classes:
-        classes += declared.__subclasses__()
-        for field in dataclasses.fields(declared):
-            if "kind" in field.metadata:
-                known[field.name] = field.metadata["kind"]
-    return known
-
-
 DENSITY = constant(
     "kg/m3",
     'mass density: "1070 kg/m^3"',
@@ -154,14 +142,14 @@ def check_constants(module: eqx.Module) -> None:
         if math.isinf(high):
             sign = "not negative and " if may_vanish else "positive and "
             expected = f"be {sign if low == 0.0 else ''}finite [{unit}]"
-        elif high == RATIO["within"][1] and values.max() >= high:
+        elif field.metadata.get("kind") == POISSON and high == 0.5 <= values.max():
             hint = " For an incompressible rubber take 0.499."
         raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")
 
 
-def check_ratio(name: str, limits: Callable[..., tuple], **constants: Constant) -> None:
-    """Raise ValueError unless a ratio lies between limits that the others give."""
-    concrete = {key: _concrete(value) for key, value in constants.items()}
+def check_ratio(law: Any, name: str, given: Sequence[str], limits: Callable) -> None:
+    """Raise ValueError unless a ratio lies between limits that other constants give."""
+    concrete = {key: _concrete(getattr(law, key)) for key in (*given, name)}
     known = {key: values for key, values in concrete.items() if values is not None}
     if len(known) < len(concrete):
         return
@@ -173,10 +161,10 @@ def check_ratio(name: str, limits: Callable[..., tuple], **constants: Constant) 
             f"Fields of a law must hold one value or one per tet, got {counts} values."
         ) from error
     ratio = others.pop(name)
+    units = {f.name: f.metadata.get("unit", "") for f in dataclasses.fields(law)}
     low, high = limits(**others)
     for i in np.flatnonzero(~((ratio > low) & (ratio < high))):
-        unit = lambda key: "Pa" if key.startswith("E") else ""
-        pairs = [(key, readable(float(v[i]), unit(key))) for key, v in others.items()]
+        pairs = [(key, readable(float(v[i]), units[key])) for key, v in others.items()]
         raise ValueError(
             f"{name} must lie in ({low[i]:.4g}, {high[i]:.4g}) for "
             f"{', '.join(map(' = '.join, pairs))}, or the stiffness is not positive "

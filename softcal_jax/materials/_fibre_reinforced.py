@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
-from softcal_jax.materials._constants import FIBRES, Constant, as_field, check_constants
+from softcal_jax.materials._constants import FIBRES, Constant, as_field
 from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw, Matrix, Tensor, outer, paired
 
@@ -81,7 +81,6 @@ class FibreReinforced(AbstractLaw):
             )
         if self.families not in (1, 2):
             raise ValueError(f"families must be 1 or 2, got {self.families!r}.")
-        check_constants(self)
 
     def fibres(self) -> tuple[Fibre, ...]:
         """Return the fibres of the families."""

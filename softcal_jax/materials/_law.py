@@ -1,18 +1,18 @@
 """What every constitutive law offers, and the products that make its tangent."""
 
-import dataclasses
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.tree_util import GetAttrKey
+from jax.tree_util import GetAttrKey, SequenceKey
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
+from softcal_jax.materials._constants import ACROSS, ALONG, MODULUS, check_constants
 from softcal_jax.materials._fibre import Fibre
 
 SHARED = {"shared": True}
@@ -74,8 +74,10 @@ class AbstractLaw(Module):
                             + self.bulk / 2 * (J - 1) ** 2)
 
     Project files read the metadata, and name a law of an installed package by its entry
-    point in the group "softcal_jax.laws"; without them a law serves Python only. A
-    Poisson's ratio has `kind=POISSON`: its error is considered where it is not fitted.
+    point in the group "softcal_jax.laws"; without them a law serves Python only. What a
+    constant is follows from them, whatever its name: a Poisson's ratio has
+    `kind=POISSON`, so that its error is considered where it is not fitted, and that
+    nearly incompressible tets do not lock.
 
     Attributes:
         conservative: Whether `stress` is the gradient of `energy_density`, so that a
@@ -83,6 +85,9 @@ class AbstractLaw(Module):
     """
 
     conservative: ClassVar[bool] = True
+
+    def __check_init__(self):
+        check_constants(self)
 
     @abstractmethod
     def energy_density(self, F: Matrix) -> Float[Array, ""]:
@@ -146,19 +151,37 @@ def with_arrays(law: AbstractLaw) -> AbstractLaw:
     return jax.tree_util.tree_map_with_path(converted, law)
 
 
-def fields_of_tets(law: AbstractLaw) -> list[tuple[str, Any]]:
-    """List the fields that tets have values of, with their paths, like ".fibre.E"."""
+def fields_of_tets(law: AbstractLaw) -> list[tuple[str, Any, Mapping[str, Any]]]:
+    """List the fields that tets have values of, and what they are declared to be.
+
+    Each has its path, like ".fibre.theta", and value. Names mean nothing: see
+    `constant` for the declaration.
+    """
     leaves = jax.tree_util.tree_leaves_with_path(split_law(law)[0])
-    return [(jax.tree_util.keystr(path), leaf) for path, leaf in leaves]
+    name = jax.tree_util.keystr
+    return [(name(path), leaf, _declared(law, path)[-1]) for path, leaf in leaves]
 
 
-def _is_shared(node: Any, path: Sequence[Any]) -> bool:
+def youngs_moduli(law: AbstractLaw) -> list[tuple[str, Any]]:
+    """List moduli along and across a fibre, or the isotropic one: paths and values."""
+    fields, kinds = fields_of_tets(law), [of.items() for of in (ALONG, ACROSS, MODULUS)]
+    return [(p, leaf) for k in kinds for p, leaf, of in fields if k <= of.items()]
+
+
+def _is_shared(law: AbstractLaw, path: Sequence[Any]) -> bool:
     """Tell whether a field on the way to a leaf of a law is one that tets share."""
+    return any(declared.get("shared") for declared in _declared(law, path))
+
+
+def _declared(node: Any, path: Sequence[Any]) -> list[Mapping[str, Any]]:
+    """List what the fields on the way to a leaf of a law are declared to be."""
+    declared = []
     for key in path:
-        if not (isinstance(key, GetAttrKey) and dataclasses.is_dataclass(node)):
-            return False
-        (field,) = (f for f in dataclasses.fields(node) if f.name == key.name)
-        if field.metadata.get("shared"):
-            return True
-        node = getattr(node, key.name)
-    return False
+        known = getattr(node, "__dataclass_fields__", {})
+        name = getattr(key, "name", "")
+        declared.append(known[name].metadata if name in known else {})
+        if isinstance(key, GetAttrKey):
+            node = getattr(node, name)
+        else:
+            node = node[key.idx] if isinstance(key, SequenceKey) else None
+    return declared

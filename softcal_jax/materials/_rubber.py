@@ -37,9 +37,6 @@ class NeoHookean(AbstractLaw):
     E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
     nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
 
-    def __check_init__(self):
-        check_constants(self)
-
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         lam, mu = lame(self.E, self.nu)
         log_J = jnp.log(determinant(F))

@@ -126,8 +126,7 @@ class TransverseIsotropic(AbstractElasticity):
             limit = np.sqrt((1.0 - nu_t) * E_t / (2.0 * E_l))
             return -limit, limit
 
-        constants = {"E_t": self.E_t, "E_l": self.E_l, "nu_t": self.nu_t}
-        check_ratio("nu_tl", limits, **constants, nu_tl=self.nu_tl)
+        check_ratio(self, "nu_tl", ("E_t", "E_l", "nu_t"), limits)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         C = plane_stiffness(self.E_t, self.E_l, self.nu_t, self.nu_tl)
@@ -288,7 +287,7 @@ class TransverseHyperelastic(AbstractLaw):
             root = np.sqrt(1.0 + 8.0 * n)
             return np.maximum(-1.0, -(1.0 + root) / (4.0 * n)), 2.0 / (1.0 + root)
 
-        check_ratio("nu", limits, E_t=self.E_t, E_l=self.E_l, nu=self.nu)
+        check_ratio(self, "nu", ("E_t", "E_l"), limits)
 
     def _constants(self) -> tuple[PlaneStiffness, Float[Array, ""]]:
         C = plane_stiffness(self.E_t, self.E_l, self.nu, self.nu)

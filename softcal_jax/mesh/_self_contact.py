@@ -60,8 +60,7 @@ def self_contact(
     Whether a node lies in a tet is decided by the map of the tet itself, so the faces
     of a quadratic tet are as curved as they are, and a gap that stays open, however
     thin, is no contact. Parts that overlap at rest count by how much farther they go.
-    Parts whose places to each other are given, like two blocks mounted on one rigid
-    body, are no contact: they cannot move against each other.
+    Parts that cannot move against each other, like blocks on one rigid body, do not.
 
     Not seen are overlaps that hold no node of the surface, such as two edges that cross
     between their nodes; those within two layers of tets around a node, as in the root
@@ -70,11 +69,10 @@ def self_contact(
     Args:
         mesh: The mesh at rest.
         displacement: Displacement of its nodes [m].
-        carrier: Number of the rigid body that moves each node, negative for none; none
-            by default. A node does not touch tets that its body moves, wholly or in
-            part.
-        placed: Whether the place of each node is imposed, as by a clamp; none by
-            default. Such nodes do not touch what is between such nodes alone.
+        carrier: Number of the rigid body that moves each node, negative for none. A
+            node does not touch tets that its own body moves, wholly or in part.
+        placed: Whether the place of each node is imposed, as by a clamp. Such nodes do
+            not touch what is between such nodes alone.
 
     Returns:
         The nodes and their depths; None without any.

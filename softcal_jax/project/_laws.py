@@ -184,7 +184,7 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
         if "unit" in field.metadata:
             constants[key] = _constant(field.metadata)
             kind = constants[key].type
-        if key == "theta" and aimed:
+        if aimed and default is ... and field in dataclasses.fields(Fibre):
             default = 0.0
         keys[key] = (kind, Field(default, description=field.metadata.get("words")))
     constants["density"] = _constant(DENSITY)
@@ -236,8 +236,8 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
     `chosen` is the class of its part that a file chooses; None leaves the keys of the
     part out. The elasticity of a matrix is isotropic.
     """
-    keys, arguments = {}, {}
-    hints = typing.get_type_hints(kind)
+    keys: dict[str, tuple[dataclasses.Field, Any]] = {}
+    arguments, hints = {}, typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint, key = hints[field.name], field.metadata.get("key", field.name)
         if hint in (AbstractElasticity, AbstractLaw):
@@ -245,20 +245,24 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
                 continue
             hint = chosen
         if isinstance(hint, type) and issubclass(hint, eqx.Module):
-            part = _recipe(hint, Isotropic)
-            keys |= part.keys
-            arguments[field.name] = part.make
+            more, arguments[field.name] = _recipe(hint, Isotropic)
         elif key == _FRAME:
-            keys[key] = (field, AnyDirections)
+            more = {key: (field, AnyDirections)}
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
-            keys[key] = (field, typed.Flag if hint is bool else hint)
+            more = {key: (field, typed.Flag if hint is bool else hint)}
             arguments[field.name] = lambda value, key=key: value(key)
         else:
             raise ValueError(
                 f"{kind.__name__}.{field.name} has no unit: declare it with "
                 '`eqx.field(metadata=softcal_jax.materials.constant("Pa", ...))`.'
             )
+        for key in more.keys() & (keys.keys() | Material.model_fields.keys()):
+            raise ValueError(
+                f"{kind.__name__}.{field.name}: [material] has another {key}, and a "
+                "file could not tell the two apart. Give the field another name."
+            )
+        keys |= more
     return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
 
 

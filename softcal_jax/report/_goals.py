@@ -17,6 +17,7 @@ from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import LEVEL, DesignResult
 from softcal_jax.fields import ControlPointParameters
+from softcal_jax.materials import youngs_moduli
 from softcal_jax.report._html import Part, bullets
 from softcal_jax.report._tables import actuator_row, actuator_values
 from softcal_jax.report._verdict import RunVerdict
@@ -49,14 +50,15 @@ def _ordered(result: DesignResult) -> TextTable:
                 rows.setdefault(point, {})[field] = values[q.name]
                 of_unit[field] = q.unit
     show = lambda value, unit: readable(float(f"{value:.4g}"), unit).strip()
-    foam = result.foam
+    foam, model = result.foam, result.fit.model
+    ordered = [path.rpartition(".")[2] for path, _ in youngs_moduli(model.law)]
     table = []
     for point, of_point in rows.items():
         cells = [
             show(of_point[field], unit) if field in of_point else "-"
             for field, unit in of_unit.items()
         ]
-        moduli = [of_point[f] for f in ("E", "E_l", "E_t") if f in of_point]
+        moduli = [of_point[name] for name in ordered if name in of_point]
         if foam is not None and moduli:
             found = foam.find(np.array([min(moduli)]), np.array([max(moduli)]))
             cells += [f"{100 * found.density[0]:.3g} %", f"{found.anisotropy[0]:.3g}"]

@@ -37,6 +37,7 @@ from softcal_jax.fields import (
     constants_of,
     find_field,
     grounded_bodies,
+    region_tets,
 )
 from softcal_jax.inference import ATTACHMENTS
 from softcal_jax.mesh import TetMesh, boundary_faces
@@ -196,7 +197,7 @@ def _of_fields(setting: Setting) -> Iterator[Unknown]:
             continue
         name = path.rpartition(".")[2]
         value = np.asarray(find_field(model, path)(model))
-        share = _share_not_fitted(setting, name)
+        share = _share_not_fitted(setting, path)
         room = 0.5 * (kind.most - float(np.max(value)))
         std = min(getattr(setting.uncertain, kind.uncertain), room)
         entry = FieldError(name, std, path, jax.device_put(share), kind.relative)
@@ -208,14 +209,12 @@ def _of_fields(setting: Setting) -> Iterator[Unknown]:
         yield Unknown(name, name, entry, std, "considered", scope)
 
 
-def _share_not_fitted(setting: Setting, field: str) -> HostArray:
+def _share_not_fitted(setting: Setting, path: str) -> HostArray:
     """Return 1 for each tet in which no parameter sets a field, 0 for the others."""
-    mesh = setting.model.mesh
-    share = np.ones(setting.model.n_tets)
+    model, share = setting.model, np.ones(setting.model.n_tets)
     for entry in setting.space.entries:
-        if any(name.rpartition(".")[2] == field for name in entry.fields):
-            group = entry.tet_group
-            share[slice(None) if group is None else mesh.tets_of(group)] = 0
+        if any(find_field(model, name).path == path for name in entry.fields):
+            share[region_tets(model.mesh, entry.tet_group)] = 0
     return share
 
 

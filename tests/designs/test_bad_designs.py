@@ -16,7 +16,9 @@ from softcal_jax.designs import (
     design,
     published_foam,
 )
+from softcal_jax.equilibrium import model_for_law
 from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.materials import NeoHookean
 
 GOAL = pose("bent", 0.5, [HALF, np.array(TIP) - [0.0, 0.0, 0.004]])
 
@@ -74,8 +76,12 @@ def test_a_foam_needs_both_moduli():
 def test_a_foam_without_any_of_the_moduli():
     """Isotropic Polyfoam of the published TPU ends at 1.5 MPa."""
     stiff = Parameter("E", "E", 3e6, 2e6, 4e6, unit="Pa")
+    isotropic = model_for_law(MODEL, NeoHookean(3e6, 0.3))
     with pytest.raises(ValueError, match=saying("1.4928 MPa", "outside of", "bounds")):
-        design(MODEL, stiff, GOAL, foam=published_foam())
+        design(isotropic, stiff, GOAL, foam=published_foam())
+    ratio = Parameter("nu", "nu", 0.3, 0.2, 0.4, scale="linear")
+    with pytest.raises(ValueError, match=saying("E of an isotropic body", "nu")):
+        design(isotropic, ratio, GOAL, foam=published_foam())
 
 
 def test_a_robust_design_needs_errors():

@@ -114,6 +114,50 @@ def test_regions_have_its_constants(tmp_path, install):
     assert set(np.round(np.unique(c2), 9)) == {1e3, 7e3}
 
 
+MISNAMED = """
+import equinox as eqx
+import jax
+from softcal_jax.materials import POISSON, AbstractLaw, NeoHookean, constant
+
+
+class Misnamed(AbstractLaw):
+    nu: jax.Array = eqx.field(metadata=constant("Pa", 'a modulus: "1 MPa"'))
+    E: jax.Array = eqx.field(
+        metadata=constant("", "Poisson's ratio: 0.3", within=(-1.0, 0.5), kind=POISSON)
+    )
+
+    def energy_density(self, F):
+        return NeoHookean(self.nu, self.E).energy_density(F)
+
+
+class Heavy(Misnamed):
+    density: jax.Array = eqx.field(metadata=constant("Pa", 'stiffness: "1 MPa"'))
+"""
+
+
+def test_constants_are_what_they_declare_whatever_their_names(tmp_path, install):
+    """A modulus nu and a Poisson's ratio E."""
+    install("mine = misnamed:Misnamed", module="misnamed", code=MISNAMED)
+    constants = 'nu = "50 kPa"\nE = 0.3\n'
+    ratio = '[[parameters]]\nfield = "E"\nlower = 0.1\nupper = 0.45\n'
+    of = OF_C1[1].replace("c1", "nu") + BOUNDS + f"\n{ratio}"
+    path = with_law(tmp_path, 'law = "mine"', constants, (OF_C1[0], of))
+    project = load_project(path)
+    assert project.model.formulation == "displacement"
+    nu, E = project.parameters
+    assert (nu.unit, nu.scale, E.unit, E.scale) == ("Pa", "log", "", "linear")
+    path.write_text(path.read_text().replace("upper = 0.45", "upper = 0.6"))
+    assert says(refusal(path), "E must lie in (-1, 0.5), got 0.6 ... take 0.499")
+    path.write_text(path.read_text().replace("E = 0.3", "E = 0.5"))
+    assert says(refusal(path), "E must lie in (-1, 0.5), got 0.5 ... take 0.499")
+
+
+def test_a_constant_with_the_name_of_a_key_is_refused(tmp_path, install):
+    install("mine = misnamed:Heavy", module="misnamed", code=MISNAMED)
+    said = refusal(with_law(tmp_path, 'law = "mine"', ""))
+    assert says(said, "Heavy.density", "another density", "another name")
+
+
 @pytest.mark.parametrize(
     ("constants", "message"),
     [

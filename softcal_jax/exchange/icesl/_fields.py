@@ -12,7 +12,7 @@ from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.materials import AbstractLaw, split_law
+from softcal_jax.materials import AbstractLaw, split_law, youngs_moduli
 from softcal_jax.mesh import Grid, TetMesh, fill
 
 N_VOXELS = 64  # voxels along each axis of a texture; IceSL takes no other number
@@ -159,16 +159,16 @@ def _axis_moduli(
     Float[HostArray, " n"], Float[HostArray, " n"], Float[HostArray, "n 3"] | None
 ]:
     """Return E_t and E_l [Pa] and the fibre of a law with one value per place."""
-    base: Any = getattr(law, "elasticity", law)
     each = lambda value: np.broadcast_to(np.asarray(value, float), (n,))
-    if all(hasattr(base, name) for name in ("E_t", "E_l", "fibre")):
-        fibre = np.asarray(base.fibre.direction(), float)
+    moduli, fibres = [each(value) for _, value in youngs_moduli(law)], law.fibres()
+    if len(moduli) == 2 and len(fibres) == 1:
+        fibre = np.asarray(fibres[0].direction(), float)
         along = np.broadcast_to(fibre.reshape(3, -1).T, (n, 3))
-        return each(base.E_t), each(base.E_l), along
-    if hasattr(base, "E"):
-        return each(base.E), each(base.E), None
+        return moduli[1], moduli[0], along
+    if len(moduli) == 1 and not fibres:
+        return moduli[0], moduli[0], None
     raise ValueError(
-        f"the law {type(base).__name__} has neither Young's moduli E_t and E_l about a "
+        f"the law {type(law).__name__} has neither Young's moduli E_t and E_l about a "
         "fibre nor one E, so no foam can be chosen for it: calibrate a transversely "
         "isotropic law, like Corotational(ReducedTransverseIsotropic(...))."
     )
