@@ -3,12 +3,15 @@
 import functools
 import importlib
 import importlib.util
+import inspect
+import pydoc
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
+import typing
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -68,6 +71,42 @@ def test_links_lead_to_files(page):
     for target in targets:
         if not target.startswith("https://"):
             assert (page.parent / target).is_file(), target
+
+
+@functools.cache
+def sources():
+    """Modules of the package and their files, but for the one that SOFA itself runs."""
+    root = Path(sc.__file__).parent
+    files = [p for p in root.rglob("*.py") if p.name not in ("__main__.py", "scene.py")]
+    dotted = lambda path: ".".join(path.relative_to(root.parent).with_suffix("").parts)
+    load = lambda path: importlib.import_module(dotted(path).removesuffix(".__init__"))
+    return [(load(path), path) for path in sorted(files)]
+
+
+def meant(module, name):
+    """What a name means in a module: of it, of its classes, an argument, or public."""
+    own = vars(module).values()
+    packages = [m for m, path in sources() if path.name == "__init__.py"]
+    functions = filter(inspect.isfunction, own)
+    arguments = [inspect.signature(f).parameters for f in functions]
+    fields = lambda home: getattr(home, "__dataclass_fields__", {})
+    member = lambda home, part: getattr(home, part, None) or fields(home).get(part)
+    homes = module, *filter(inspect.isclass, own), *packages
+    found = [functools.reduce(member, name.split("."), home) for home in homes]
+    found += [parameters.get(name) for parameters in arguments]
+    found += [pydoc.locate(f"softcal_jax.{name.removeprefix('softcal_jax.')}")]
+    return next((target for target in found if target is not None), None)
+
+
+def test_what_docstrings_say_to_see_can_be_seen():
+    """And is more than an alias of types, whose text nobody finds."""
+    lost = [
+        f"{path.name}: see `{name}`"
+        for module, path in sources()
+        for name in re.findall(r"\b[Ss]ee\s+`([A-Za-z_][\w.]*)`", path.read_text())
+        if (target := meant(module, name)) is None or typing.get_origin(target)
+    ]
+    assert lost == []
 
 
 def test_every_page_is_in_a_table_of_contents():

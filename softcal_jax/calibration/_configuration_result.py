@@ -402,13 +402,7 @@ def _results(
     )
 
 
-def _self_contact(
-    model: Model,
-    lanes: ConfigurationLanes,
-    solution: EquilibriumSolution,
-    state: RobotState | None,
-    i: int,
-) -> SelfContact | None:
+def _self_contact(model, lanes, solution, state, i: int) -> SelfContact | None:
     """Find where the body of a configuration with an equilibrium touches itself."""
     if not solution.converged[i]:
         return None

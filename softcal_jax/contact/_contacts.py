@@ -1,4 +1,4 @@
-"""Frictionless contact of the surface of the body with obstacles, by a potential.
+"""Contact of the surface of the body with obstacles, which slides or sticks.
 
 Each quadrature point of the faces of the body, with the area A at rest and the distance
 g from an obstacle, adds A E phi(d) to the potential energy, where d = s / 2 - g is how

@@ -21,8 +21,7 @@ from softcal_jax.configurations import (
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
-"""A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one
-number for a length, volume, angle or force; in SI units and radians."""
+"""What an effector is to reach, see `solve_inverse`."""
 
 ANYTHING = (-np.inf, np.inf)  # no limits
 

@@ -74,8 +74,9 @@ def solve_inverse(
         configuration: The actuators in its `actuation` are commanded and start there;
             other actuators stay as they are. Measured values of its effectors and
             markers are their goals, and errors are weighted by 1 / `std`.
-        goals: Goals by the names of effectors and markers, in place of measured values;
-            see `Goal`.
+        goals: Goals by the names of effectors and markers, in place of measured values:
+            a `Pose` from rest for a `BodyFrame`, three numbers for a point or reaction,
+            one for a length, volume, angle or force; in SI units and radians.
         limits: Limits by the names of actuators.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].

@@ -74,7 +74,8 @@ class System(NamedTuple):
     ) -> Bordered:
         """Solve for steps from forces and gaps; `transpose`: K^T, F_a and H_a swapped.
 
-        `near`: the matrix is near the last that was factorized, see `solve_near`.
+        `near`: the matrix is near the last that was factorized, see
+        `AbstractLinearSolver.solve_near`.
         """
         how = partial(_solve, transpose=transpose, near=near)
         solve = jax.custom_batching.custom_vmap(how)

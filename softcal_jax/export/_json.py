@@ -34,7 +34,7 @@ def result_dict(
     timing_s: Mapping[str, float] | None = None,
     directory: str | Path = ".",
 ) -> dict[str, Any]:
-    """Convert a calibration to the content of `result.json`, see `ResultFile`.
+    """Convert a calibration to `result.json`, see `result_file.ResultFile`.
 
     Its assessment is made if it is not given; `timing_s` are wall times of further
     parts [s], and paths of files are relative to `directory`.
@@ -68,7 +68,7 @@ def result_dict(
 
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
-    """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
+    """Convert an error budget to a dictionary, see `result_file.BudgetEntry`."""
     by_cause, total = budget.by_cause(), budget.standard_errors
     return plain(
         {

@@ -105,7 +105,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert the files that results in a folder were made from, see `SourceEntry`."""
+    """Convert what results were made from, see `result_file.SourceEntry`."""
     if source is None:
         return None
     folder = source.project.path.parent

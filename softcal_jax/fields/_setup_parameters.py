@@ -374,9 +374,9 @@ def recording_offset(
     """Make the frame of a recording, or of a tracker's base, parameters.
 
     These are three coordinates of its offset, if there is a `limit` per axis [m], and
-    three of its rotation, if there is a `turn_limit` [rad]; see `RecordingBase`. In
-    motions the offset cancels. Prior standard deviations, [m] and [rad], are None if
-    not known; for `each` and `by` see `SetupParameter`.
+    three of its rotation about the centre of the mesh, if there is a `turn_limit`
+    [rad]. In motions the offset cancels. Prior standard deviations, [m] and [rad], are
+    None if not known; for `each` and `by` see `SetupParameter`.
 
     Raises:
         ValueError: If neither limit is given.

@@ -2,7 +2,7 @@
 
 Damaged models crash gmsh, or it meshes them for ever, so it runs beside the package,
 of which this file imports nothing: it starts in a fraction of a second. What is given
-and made, or why nothing is made, are two pickled dictionaries; see `_mesh`.
+and made, or why nothing is made, are pickled dictionaries; see `exchange.cad._mesh`.
 """
 
 import pickle
@@ -28,7 +28,7 @@ _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 
 
 class RefusedError(Exception):
-    """No mesh is made; `reason` says of what kind the text is, see `_mesh`."""
+    """No mesh is made; `reason` says of what kind the text is."""
 
     def __init__(self, reason: str, text: str, number: float = np.nan):
         super().__init__(text)
