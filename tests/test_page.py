@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export.handmade import (
+    axis_model,
     axis_space,
     make_fit,
     make_history,
@@ -27,12 +28,11 @@ from softcal_jax.calibration import (
     ProjectSource,
     SourceFile,
 )
-from softcal_jax.equilibrium import NewtonSettings, build_model
+from softcal_jax.equilibrium import NewtonSettings
 from softcal_jax.export import Made
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import independent
 from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
-from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.report import (
     _html,
     _write,
@@ -317,9 +317,8 @@ def test_success_only_where_the_package_grants_it(tmp_path):
 def test_blind_directions_and_what_to_do_are_in_words(tmp_path):
     """The data see a modulus, and not the angle."""
     values = np.deg2rad([-33.94, 0.123, 10.0, -90.0, 90.0])
-    law = Corotational(ReducedTransverseIsotropic(5e5, 2e5, 0.3, Fibre(0.35)))
     result = make_result(
-        model=build_model(small_model().mesh, law, density=1000.0),
+        model=axis_model(),
         parameters=(
             ParameterEstimate("E_t", 5e5, 9e3, 2e5, 1e5, 1e6, "Pa", False),
             ParameterEstimate("theta", *map(float, values), "rad", False),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import pyvista
 from export.handmade import (
+    axis_model,
     axis_space,
     make_fit,
     make_ranking,
@@ -283,9 +284,11 @@ def judged(*rows):
 
 def axis_result(*rows, space=None):
     """A modulus and an angle, both kept; compliances in noise units."""
+    model = small_model() if space else axis_model()
     space = space or axis_space()
     values = np.deg2rad([-33.94, 0.123, 10.0, -90.0, 90.0])
     return make_result(
+        model=model,
         parameters=(
             ParameterEstimate("E_t of CP 1", 5e5, 9e3, 2e5, 1e5, 1e6, "Pa", False),
             ParameterEstimate("theta of CP 1", *map(float, values), "rad", False),

@@ -85,7 +85,7 @@ def locate(
     distance, foot = np.zeros(len(p)), p.copy()
     outside = np.flatnonzero(tet < 0)
     nearest = _nearest_on_boundary(mesh, p[outside])
-    for i, (carrier, b0, gap) in zip(outside, nearest, strict=False):
+    for i, (carrier, b0, gap) in zip(outside, nearest, strict=True):
         tet[i], distance[i] = carrier, gap
         X = mesh.points[mesh.tets[tet[i]]]
         N, dN[i] = shape_functions(b0, n_en), shape_gradients(b0, n_en)

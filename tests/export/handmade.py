@@ -30,7 +30,14 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import Gain, Ranking, Unranked
 from softcal_jax.inference import Cause, ErrorBudget, Uncertainty, independent
-from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
+from softcal_jax.materials import (
+    AbstractLaw,
+    Corotational,
+    Fibre,
+    Isotropic,
+    NeoHookean,
+    ReducedTransverseIsotropic,
+)
 from softcal_jax.mesh import beam
 
 AT_REST = np.array([[0.1, 0.02, 0.02], [0.1, 0.0, 0.02]])
@@ -205,6 +212,12 @@ def modulus_and_ratio():
             Parameter("nu", "nu", 0.4, 0.3, 0.44, scale="linear"),
         )
     )
+
+
+def axis_model():
+    """A beam whose law has the constants of `axis_space`."""
+    law = Corotational(ReducedTransverseIsotropic(5e5, 2e5, 0.3, Fibre(0.35)))
+    return build_model(small_model().mesh, law, density=1000.0)
 
 
 def axis_space():
