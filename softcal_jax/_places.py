@@ -35,6 +35,17 @@ def replacing(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
+def check_place(path: Path) -> None:
+    """Raise OSError unless a file may stand at a path, in a folder that exists."""
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a directory; name a file in it.")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(
+            f"the folder {path.parent} of {path.name} does not exist: make it, or "
+            "give a file in another one."
+        )
+
+
 @contextmanager
 def only_writer(path: Path, program: str) -> Iterator[None]:
     """Keep other programs from writing a file, once it is known that it can be written.
@@ -46,15 +57,9 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
         BlockingIOError: If another one of these programs is writing the file.
         OSError: If the place cannot be written; the text says why.
     """
-    lock = path.with_name(path.name + ".lockfile")  # no other name there is longer
     with with_remedy(f"{path} cannot be written", "give another file"):
-        if path.is_dir():
-            raise IsADirectoryError(f"{path} is a folder; name a file in it.")
-        if not path.parent.is_dir():
-            raise FileNotFoundError(
-                f"the folder {path.parent} of {path.name} does not exist: make it, or "
-                "give a file in another one."
-            )
+        check_place(path)
+        lock = path.with_name(path.name + ".lockfile")  # no other name is longer
         with ExitStack() as opened:
             file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
             opened.callback(os.close, file)

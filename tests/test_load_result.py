@@ -256,7 +256,7 @@ def test_export_of_an_input_file(folder, capsys):
     assert job.read_text().splitlines()[1] == "small: weight"
     argv[-1] = str(folder / "none" / "job.inp")
     assert main([*argv, "--configuration", "weight"]) == 2
-    assert "there is no folder" in capsys.readouterr().err
+    assert "make it, or give a file in another one" in capsys.readouterr().err
 
 
 def test_export_without_a_format(capsys):

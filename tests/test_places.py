@@ -93,7 +93,7 @@ def below_a_file(folder):
     [
         (below_a_file, r"file of fit\.npz .*make it"),
         (lambda folder: folder / "none" / "fit", "none of fit .*make it"),
-        (lambda folder: folder, "is a folder"),
+        (lambda folder: folder, "is a directory"),
         # Longer than 255 letters with the ending of a partial file.
         (lambda folder: folder / ("n" * 248), r"File name too long.*another"),
     ],

@@ -187,9 +187,6 @@ def _export(
         cli.check_folder(args)
     else:
         cli.check_new(output, force=args.force)
-        if not output.parent.is_dir():
-            text = f"there is no folder {output.parent}. Make it, or choose another."
-            raise cli.Stop(cli.BAD_INPUT, f"error: {text}")
     from softcal_jax.project import load_project
     from softcal_jax.report import load_result
 

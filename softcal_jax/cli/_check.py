@@ -5,6 +5,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softcal_jax._files import check_file
 from softcal_jax.cli import _shared as cli
 from softcal_jax.exchange.exporters import quantity
 
@@ -24,6 +25,8 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 
 
 def check(args: argparse.Namespace, show: cli.Display) -> None:
+    with cli.bad_input():
+        check_file(args.project, "project file")
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
     cli.check_suffix(picture, ".png", ".svg")
@@ -174,6 +177,7 @@ def _made(args: argparse.Namespace) -> "TetMesh":
     from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh
 
+    check_file(args.model, "model")
     suffix = args.model.suffix.lower()
     if suffix != ".toml" and suffix not in CAD_FORMATS and args.length_unit is None:
         raise ValueError(

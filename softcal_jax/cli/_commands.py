@@ -26,9 +26,10 @@ def demo(args: argparse.Namespace, show: cli.Display) -> None:
         return calibrate(args, show)
     source = path.parent
     names = sorted(p.name for p in source.iterdir() if p.is_file())
-    cli.check_new(*(args.write / name for name in names), force=args.force)
     with cli.bad_input():
         args.write.mkdir(parents=True, exist_ok=True)
+    cli.check_new(*(args.write / name for name in names), force=args.force)
+    with cli.bad_input():
         for name in names:
             shutil.copyfile(source / name, args.write / name)
     show.document({"directory": str(args.write), "files": names})

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import shtab
 
+from softcal_jax._places import check_place
 from softcal_jax._text import escaped
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.cli._display import Display
@@ -127,7 +128,10 @@ def check_folder(args: argparse.Namespace) -> None:
 
 
 def check_new(*paths: Path, force: bool) -> None:
-    """End the command if there are such files already, unless they may be replaced."""
+    """End the command if files cannot be made, or are there and may not be replaced."""
+    with bad_input():
+        for path in paths:
+            check_place(path)
     existing = [str(path) for path in paths if path.exists()]
     if existing and not force:
         verb, them = ("exists", "it") if len(existing) == 1 else ("exist", "them")

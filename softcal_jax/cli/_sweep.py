@@ -168,6 +168,7 @@ def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
+    cli.check_new(*filter(None, (args.csv, args.plot)), force=True)
     with cli.bad_input():
         result = read_sweep(args.database)
         chosen = {"by": args.by, "figures": args.figure}

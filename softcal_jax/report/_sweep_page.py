@@ -30,7 +30,7 @@ MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:
     """Return where the page of a sweep is: sweep_report.html beside sweep.sqlite."""
     database = Path(database)
-    return database.with_name(f"{database.stem}_report.html")
+    return database.parent / f"{database.stem}_report.html"
 
 
 def check_sweep_page(database: str | os.PathLike[str]) -> None:

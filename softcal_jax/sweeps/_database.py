@@ -20,6 +20,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from softcal_jax._files import check_file
 from softcal_jax._places import only_writer
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
@@ -169,7 +170,7 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
     """
     path = Path(database)
     if not path.is_file():
-        raise FileNotFoundError(f"there is no sweep database {path}.")
+        check_file(path, "sweep database")  # which says what it is instead
     # Not read-only, since a reader rolls back what a killed run left half done.
     uri = f"{path.resolve().as_uri()}?mode=rw"
     with _explained(path), closing(_open(uri, uri=True)) as file:

@@ -117,7 +117,8 @@ def mesh_cad(
     model_size = None if size is None else size / metres
     try:
         if path.suffix.lower() in _STEP:
-            filled = fill("gmsh, STEP", {"path": str(path)}, model_size)
+            given = {"path": str(path.absolute())}  # `fill` works in another folder
+            filled = fill("gmsh, STEP", given, model_size)
         else:
             filled = _fill_surface(path, model_size, notes)
         mesh = _named(filled, metres)
