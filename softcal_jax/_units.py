@@ -1,18 +1,37 @@
-"""Readable units: kPa instead of 2.638e+05 Pa, degrees instead of rad."""
+"""Units that are read and written: kPa instead of 2.638e+05 Pa, degrees for rad."""
 
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from softcal_jax._names import METRES
+
+UNITS: dict[str, dict[str, float]] = {
+    "m": METRES,
+    "m2": {"m2": 1.0, "mm2": 1e-6},
+    "m3": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9, "l": 1e-3, "ml": 1e-6},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5}
+    | {"N/m2": 1.0, "N/mm2": 1e6},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "N m": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
+    "N/m3": {"N/m3": 1.0, "Pa/m": 1.0, "N/mm3": 1e9, "GPa/m": 1e9},
+    "kg": {"kg": 1.0, "g": 1e-3, "mg": 1e-6},
+    "kg/m3": {"kg/m3": 1.0, "g/cm3": 1e3, "kg/dm3": 1e3},
+    "m/s2": {"m/s2": 1.0, "mm/s2": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+}
+"""Units of nearly every file, by SI unit: pint takes a second to read all it knows."""
+
 # Ascending; the largest that keeps the value at or above 1 is used.
-_PREFIXED = {
-    "Pa": ((1.0, "Pa"), (1e3, "kPa"), (1e6, "MPa"), (1e9, "GPa")),
-    "m": ((1e-3, "mm"), (1.0, "m")),
-    "m2": ((1e-6, "mm2"), (1.0, "m2")),
-    "m3": ((1e-9, "mm3"), (1e-6, "ml"), (1.0, "m3")),
-    "N": ((1e-3, "mN"), (1.0, "N"), (1e3, "kN")),
-    "N m": ((1e-3, "N mm"), (1.0, "N m")),
-    "rad": ((math.pi / 180.0, "deg"),),
+_WRITTEN = {
+    "Pa": ("Pa", "kPa", "MPa", "GPa"),
+    "m": ("mm", "m"),
+    "m2": ("mm2", "m2"),
+    "m3": ("mm3", "ml", "m3"),
+    "N": ("mN", "N", "kN"),
+    "N m": ("N mm", "N m"),
+    "rad": ("deg",),
 }
 
 
@@ -21,7 +40,8 @@ def readable_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
 
     The largest value decides; a unit that is not listed stays as it is.
     """
-    steps = _PREFIXED.get(unit, ((1.0, unit),))
+    steps = [(UNITS[unit][name], name) for name in _WRITTEN.get(unit, ())]
+    steps = steps or [(1.0, unit)]
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     size, name = max((step for step in steps if largest >= step[0]), default=steps[0])
     return 1.0 / size, name

@@ -59,8 +59,8 @@ def test_one_of_each_kind(every_kind, capsys):
         "E 300 kPa 100 kPa 1 MPa log +- 30 %",
         "mounting z of arm 2 mm 0 m 4 mm linear none",
         'actuators.left.guides[1].point "(0, 1, 2) cm" (0, 10, 20) mm',
-        'material.density "1 g/cm^3" 1000 kg/m^3',
-        'effectors.torque.std "1 N*mm" 0.001 N*m',
+        'material.density "1 g/cm^3" 1000 kg/m3',
+        'effectors.torque.std "1 N*mm" 0.001 N m',
         "softcal identify ready to run",
     ):
         assert line in lines

@@ -1,6 +1,7 @@
 """Reading of mesh files as a `TetMesh` in metres, and writing with all groups."""
 
 import os
+import re
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -293,12 +294,14 @@ def write_mesh(
         implied = np.unique(mesh.surface_groups.get(name, tets))
         if not np.array_equal(np.unique(nodes), implied):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
+    # meshio reads names as a shell does, and writes them as they are.
+    written = {re.sub(r'([\\"])', r"\\\1", name): tag for name, tag in names.items()}
     tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
         mesh.points / METRES[length_unit],
         [(kind, cells) for kind, cells, _ in blocks],
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={name: np.array(tag, np.int32) for name, tag in names.items()},
+        field_data={name: np.array(tag, np.int32) for name, tag in written.items()},
     ).write(path, file_format="gmsh22", binary=False)
 
 

@@ -10,7 +10,11 @@ from softcal_jax.project._load import (
     load_mesh as load_mesh,
     load_project as load_project,
 )
-from softcal_jax.project._printed import printed_project as printed_project
+from softcal_jax.project._printed import (
+    printed_project as printed_project,
+    toml_key as toml_key,
+    toml_value as toml_value,
+)
 from softcal_jax.project._problems import (
     ProjectError as ProjectError,
     at as at,

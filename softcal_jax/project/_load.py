@@ -59,8 +59,9 @@ def load_project(
     Args:
         path: A TOML file.
         changes: Values that replace those of the file, written as in it, by key:
-            {"material.E": "200 kPa"}. An entry of a list goes by its name,
-            "parameters.E.lower"; None removes a key.
+            {"material.E": "200 kPa"}. An entry of a list goes by its name, whatever
+            dots that has: "parameters.E.lower", "configurations.1.5 bar.role". A new
+            name with a dot stands in double quotes. None removes a key.
         solve: Whether a solver is prepared. Without, a project is read faster, can be
             looked at, and raises RuntimeError where it is solved.
 

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, Strict
 
-from softcal_jax._names import METRES, suggestion
+from softcal_jax._names import suggestion
 from softcal_jax._text import shortened
-from softcal_jax._units import is_number
+from softcal_jax._units import UNITS, is_number
 
 
 class Dimension(NamedTuple):
@@ -23,55 +23,31 @@ class Dimension(NamedTuple):
 
 LENGTH = Dimension("a length", "m", "100 mm")
 PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa")
-DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3")
+DENSITY = Dimension("a density", "kg/m3", "1070 kg/m^3")
 FORCE = Dimension("a force", "N", "0.51 N")
-ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2")
+ACCELERATION = Dimension("an acceleration", "m/s2", "9.81 m/s^2")
 TIME = Dimension("a time", "s", "1.3 s")
 ANGLE = Dimension("an angle", "rad", "20 deg")
 MASS = Dimension("a mass", "kg", "10 g")
-VOLUME = Dimension("a volume", "m^3", "2 ml")
-TORQUE = Dimension("a torque", "N*m", "50 N*mm")
-BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m")
+VOLUME = Dimension("a volume", "m3", "2 ml")
+TORQUE = Dimension("a torque", "N m", "50 N*mm")
+BEDDING = Dimension("a stiffness per area", "N/m3", "1 GPa/m")
 
 Size = Literal["any", "finite", "not negative", "positive"]
 """What a quantity may be; every size but "any" is finite."""
 
-OF_UNIT = {
-    "m": LENGTH,
-    "m3": VOLUME,
-    "rad": ANGLE,
-    "N": FORCE,
-    "Pa": PRESSURE,
-    "N m": TORQUE,
-    "kg/m3": DENSITY,
-    "N/m3": BEDDING,
-}
+_DIMENSIONS = LENGTH, VOLUME, ANGLE, FORCE, PRESSURE, TORQUE, DENSITY, BEDDING
+_OF_UNIT = {d.si: d for d in (*_DIMENSIONS, ACCELERATION, TIME, MASS)}
 """Dimension of each SI unit, as laws, actuators and effectors name it."""
 
 
 def dimension_of(unit: str) -> Dimension:
     """Return the dimension of an SI unit; an unlisted unit makes its own."""
-    unlisted = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}")
-    return OF_UNIT.get(unit, unlisted)
+    spelt = _spelt(unit)
+    return _OF_UNIT.get(spelt, Dimension(f"a quantity in {unit}", spelt, f"1 {unit}"))
 
 
-_COMMON: dict[str, dict[str, float]] = {
-    "m": METRES,
-    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5}
-    | {"N/m^2": 1.0, "N/mm^2": 1e6},
-    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "kg": {"kg": 1.0, "g": 1e-3, "mg": 1e-6},
-    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3, "kg/dm^3": 1e3},
-    "m/s^2": {"m/s^2": 1.0, "mm/s^2": 1e-3},
-    "s": {"s": 1.0, "ms": 1e-3},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
-    "m^3": {"m^3": 1.0, "cm^3": 1e-6, "mm^3": 1e-9, "l": 1e-3, "ml": 1e-6},
-    "N*m": {"N*m": 1.0, "N*mm": 1e-3, "mN*m": 1e-3},
-    "Pa/m": {"N/mm^3": 1e9, "GPa/m": 1e9},
-}
-"""Units of nearly every file, by SI unit: pint takes a second to read all it knows."""
-
-_SI_OF = {unit: si for si, units in _COMMON.items() for unit in units}
+_SI_OF = {unit: si for si, units in UNITS.items() for unit in units}
 
 # pint treats angles as plain numbers, so it would accept "20 %" as an angle.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
@@ -79,14 +55,20 @@ _ANGLES = ("degree", "radian", "milliradian", "turn")
 _NUMBER = r"[+-]?(?:inf|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
 _NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
 # Only products and quotients of named units reach pint's own parser.
-_UNIT = re.compile(rf"{_NAME}(?:\s*[*/·]\s*{_NAME})*")
+_UNIT = re.compile(rf"{_NAME}(?:(?:\s*[*/·]\s*|\s+){_NAME})*")
 _SCALAR = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
 
 
 def _spelt(unit: str) -> str:
-    """Spell a unit as pint reads it: people write "m3" for "m^3"."""
-    return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit).replace("·", "*")
+    """Spell a unit as `UNITS` does: people write "m^3" for "m3", "N*m" for "N m"."""
+    plain = re.sub(r"\^|\*\*", "", unit.replace("²", "2").replace("³", "3"))
+    return re.sub(r"\s*([*/·])\s*|\s+", lambda m: "/" if m[1] == "/" else " ", plain)
+
+
+def _by_pint(unit: str) -> str:
+    """Mark the powers of a unit that is spelt as in `UNITS`, as pint asks."""
+    return re.sub(r"(?<=[A-Za-zµμ])(-?\d)", r"^\1", unit)
 
 
 def _factor(unit: str, dimension: Dimension, value: str) -> float:
@@ -95,25 +77,26 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
     if not _UNIT.fullmatch(unit):
         raise ValueError(f'"{value}": cannot read the unit "{unit}"; {expected}.')
     misfit = f'"{value}": "{unit}" is not {dimension.name}; {expected}.'
-    common = _COMMON.get(dimension.si, {})
-    if unit in common:
-        return common[unit]
-    if unit in _SI_OF and common:
+    common, spelt = UNITS.get(dimension.si, {}), _spelt(unit)
+    if spelt in common:
+        return common[spelt]
+    if spelt in _SI_OF and common:
         raise ValueError(misfit)
     import pint
 
     registry = pint.get_application_registry()
     try:
-        one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
+        one = registry.Quantity(1.0, registry.parse_units(_by_pint(spelt)))
     except pint.UndefinedUnitError as error:
         unknown = f'"{value}": unknown unit "{unit}"; {expected}.'
         hint = suggestion(unit, common, quote='"')
         raise ValueError(f"{unknown}{hint}") from error
+    si = _by_pint(dimension.si)
     angle = dimension is not ANGLE or str(one.units) in _ANGLES
-    if not (angle and one.is_compatible_with(dimension.si)):
+    if not (angle and one.is_compatible_with(si)):
         # "kP" is no slip to pint, which knows the kilopoise.
         raise ValueError(misfit + suggestion(unit, common, quote='"'))
-    return float(one.to(dimension.si).magnitude)
+    return float(one.to(si).magnitude)
 
 
 def shown(value: Any) -> str:
@@ -123,7 +106,7 @@ def shown(value: Any) -> str:
 
 def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
     """Read a quantity of any dimension: one value or three, and their SI unit."""
-    for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
+    for dimension in _OF_UNIT.values():
         with contextlib.suppress(ValueError):
             if _VECTOR.fullmatch(text):
                 return parse_vector(text, dimension), dimension.si

@@ -5,6 +5,7 @@ The description of a key is also the text of the message if the key is missing.
 
 import datetime
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Set
 from contextlib import suppress
@@ -190,24 +191,39 @@ def with_changes(
 ) -> dict[str, Any]:
     """Replace some values of a file, see `load_project`, creating missing tables."""
     for key, value in (changes or {}).items():
-        *way, last = key.split(".")
-        table: Any = raw
-        for part in way:
+        parts = [quoted or part for quoted, part in _PART.findall(f"{key}.")]
+        table, last = raw, _taken(parts, raw)
+        while parts:
+            table, where = table.setdefault(last, {}), last
             if isinstance(table, list):
                 entries = [e for e in table if isinstance(e, dict)]
-                table = {str(e.get("name", e.get("field"))): e for e in entries}
-                if part not in table:
-                    none = f"there is no {part!r}.{known_here(part, table)}"
+                named = {str(e.get("name", e.get("field"))): e for e in entries}
+                name = _taken(parts, named)
+                if name not in named:
+                    none = f"there is no {name!r}.{known_here(name, named)}"
                     raise ProjectError(f"{path}: {key}: {none}")
-            table = table.setdefault(part, {}) if isinstance(table, dict) else None
-        if not isinstance(table, dict):
-            where = ".".join(way)
-            raise ProjectError(f"{path}: {key}: {where} is no table of the file.")
+                table = named[name] if parts else None
+            if not isinstance(table, dict):
+                raise ProjectError(f"{path}: {key}: {where} is no table of the file.")
+            last = _taken(parts, table)
         if value is None:
             table.pop(last, None)
         else:
             table[last] = deepcopy(value)
     return raw
+
+
+_PART = re.compile(r'(?:"([^"]+)"|([^.]*))\.')
+"""A part of a key, up to the next dot; in quotes, as in TOML, it may have dots."""
+
+
+def _taken(parts: list[str], known: Mapping[str, Any]) -> str:
+    """Take the longest known name off the parts of a key, or else the first part."""
+    longest = range(len(parts), 0, -1)
+    n = next((n for n in longest if ".".join(parts[:n]) in known), 1)
+    name = ".".join(parts[:n])
+    del parts[:n]
+    return name
 
 
 def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import pint
 import pytest
 from wording import saying
 
+from softcal_jax._units import UNITS
 from softcal_jax.project import _quantities
 from softcal_jax.project._quantities import (
     ACCELERATION,
@@ -144,16 +145,18 @@ def test_bad_vector(value, message):
 def test_common_units_are_those_of_pint():
     """The table that spares pint's definitions holds what these would give."""
     registry = pint.get_application_registry()
-    for si, units in _quantities._COMMON.items():
+    read = lambda unit: registry.parse_units(_quantities._by_pint(unit))
+    for si, units in UNITS.items():
         for unit, factor in units.items():
-            exact = registry.Quantity(1.0, registry.parse_units(unit)).to(si).magnitude
+            assert _quantities._spelt(unit) == unit  # so that it is found there
+            exact = registry.Quantity(1.0, read(unit)).to(read(si)).magnitude
             # pint multiplies its prefixes, each with a rounding error.
             assert factor == pytest.approx(exact, rel=1e-15), unit
 
 
 def test_a_quantity_of_any_dimension():
     assert _quantities.recognised("(0, 15, -2) m") == ((0.0, 15.0, -2.0), "m")
-    assert _quantities.recognised("2 ml") == ((2e-6,), "m^3")
+    assert _quantities.recognised("2 ml") == ((2e-6,), "m3")
     values, _ = _quantities.recognised("3 psi")
     assert values == pytest.approx((20684.27,))
     for text in ("tip", "3 %", "350", "load 5 N", "x_min", "4 parsnips"):

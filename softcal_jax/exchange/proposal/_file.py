@@ -8,10 +8,10 @@ import numpy as np
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal._body import in_mm
-from softcal_jax.exchange.proposal._recorded import Findings, RecordedPose, bare, quoted
+from softcal_jax.exchange.proposal._recorded import Findings, RecordedPose
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import volumes
-from softcal_jax.project import parse_in_si
+from softcal_jax.project import parse_in_si, toml_key, toml_value
 from softcal_jax.report import mesh_lines
 
 DENSITY = 1070.0
@@ -57,7 +57,7 @@ def _title(name: str, findings: Findings) -> Iterator[str]:
 # Quantities are texts with their unit, three of them share one: "(0, 15, 36) mm".
 # Plain numbers have no unit. Paths are relative to this file. Unknown keys are errors.
 """
-    yield f"name = {quoted(name)}"
+    yield f"name = {toml_value(name)}"
 
 
 def _mesh(findings: Findings) -> Iterator[str]:
@@ -66,7 +66,7 @@ def _mesh(findings: Findings) -> Iterator[str]:
     extent = np.ptp(body.mesh.points, axis=0)
     sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
     yield "[mesh]"
-    yield f"file = {quoted(findings.model)}"
+    yield f"file = {toml_value(findings.model)}"
     if body.unit is not None:
         guess = f" # CHANGE: a guess, by which it is {sides} mm"
         yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
@@ -115,10 +115,10 @@ upper = "100 MPa" # both far from what is likely"""
 def _actuators(findings: Findings) -> Iterator[str]:
     """Write a chamber for each surface that is called like one."""
     for k, (group, is_open) in enumerate(findings.chambers.items()):
-        yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
+        yield "\n" * (k > 0) + f"[actuators.{toml_key(f'air in {group}')}]"
         yield 'type = "chamber"'
         named = "# CHANGE: what is inflated, here by its name"
-        yield f"surface = {quoted(group)} {named}"
+        yield f"surface = {toml_value(group)} {named}"
         if is_open:
             yield "seal = true # it has a rim: a lid without material closes it"
     if not findings.chambers:
@@ -143,7 +143,7 @@ def _markers(findings: Findings) -> Iterator[str]:
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
     for marker in findings.markers:
-        line = f"{bare(marker.name)} = {in_mm(marker.place)}"
+        line = f"{toml_key(marker.name)} = {in_mm(marker.place)}"
         off = readable_values([marker.distance], "m", digits=3)
         if recorded is None:
             yield f"{line} # CHANGE: where you glue it, and what it is called"
@@ -160,7 +160,7 @@ def _shared(findings: Findings) -> Iterator[str]:
     yield "[shared]"
     yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
     known = " # CHANGE: what is held, here by its name" * (not held.definition)
-    yield f"supports = [{{ group = {quoted(held.group)} }}]{known}"
+    yield f"supports = [{{ group = {toml_value(held.group)} }}]{known}"
     off = "# " * findings.own_frame
     if recorded is None:
         return
@@ -173,16 +173,16 @@ def _shared(findings: Findings) -> Iterator[str]:
     files = {pose.file for pose in findings.poses}
     yield f"\n{off}[shared.measured]"
     if len(files) == 1:
-        yield f"{off}file = {quoted(recorded.rest.file.name)}"
+        yield f"{off}file = {toml_value(recorded.rest.file.name)}"
     if recorded.unit is not None:
         guess = "# CHANGE: a guess, by the size of the mesh"
         yield f'{off}length_unit = "{recorded.unit}" {guess}'
     if recorded.others:
         yield """# Compared are motions from this pose: where a marker is glued is known
 # worse than how far it moves."""
-        yield f"{off}displacement_from = {quoted(recorded.rest.name)}"
+        yield f"{off}displacement_from = {toml_value(recorded.rest.name)}"
     if findings.own_frame:
-        listed = ", ".join(map(quoted, recorded.stillest(3)))
+        listed = ", ".join(map(toml_value, recorded.stillest(3)))
         which = f"select = {recorded.rest.select}"
         yield f"{off}registration = {{ markers = [{listed}], {which} }}"
     elif recorded.over_time:
@@ -212,7 +212,7 @@ name = "loaded"
         unloaded = k == 0 < last
         yield "\n" * (k > 0) + "[[configurations]]"
         remark = " # CHANGE: here nothing acts but gravity" * unloaded
-        yield f"name = {quoted(pose.name)}{remark}"
+        yield f"name = {toml_value(pose.name)}{remark}"
         if 1 < k == last:
             yield 'role = "validation" # predicted after the fit, never used in it'
         if not unloaded:
@@ -224,13 +224,13 @@ def _driven(findings: Findings, name: str, load: str) -> str:
     """Write what acts in a pose: a pressure where there is a chamber, else a load."""
     if not findings.chambers:
         return f"{load} # CHANGE: what acts in this pose"
-    actuator = bare(f"air in {next(iter(findings.chambers))}")
+    actuator = toml_key(f"air in {next(iter(findings.chambers))}")
     try:
         parse_in_si(name, "Pa")
     except ValueError:
         guess = f'actuation = {{ {actuator} = "10 kPa" }}'
         return f"{guess} # CHANGE: what acts in this pose"
-    return f"actuation = {{ {actuator} = {quoted(name)} }} # by its name"
+    return f"actuation = {{ {actuator} = {toml_value(name)} }} # by its name"
 
 
 def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:
@@ -240,10 +240,10 @@ def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:
     off = "# " * findings.own_frame
     seen = [name for name in recorded.labels if name in pose.seen]
     if len(seen) < len(recorded.labels):
-        listed = ", ".join(map(quoted, seen))
+        listed = ", ".join(map(toml_value, seen))
         yield f"markers = [{listed}] # those that were seen"
     if len({any_pose.file for any_pose in findings.poses}) > 1:
-        yield f"{off}measured.file = {quoted(pose.file.name)}"
-    if pose.select != "{  }":
+        yield f"{off}measured.file = {toml_value(pose.file.name)}"
+    if pose.select != "{}":
         check = " # CHANGE: when the robot stands still" * recorded.over_time
         yield f"{off}measured.select = {pose.select}{check}"

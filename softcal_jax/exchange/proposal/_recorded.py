@@ -1,6 +1,5 @@
 """Poses from files of markers, and all that a project is written from."""
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import MarkerTable
 from softcal_jax.exchange.proposal._body import Body, Held
+from softcal_jax.project import toml_value
 
 _REST = re.compile(
     r"(?<![a-z])(rest|unloaded|zero|reference|initial|home)(?![a-z])"
@@ -162,9 +162,8 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     for key in keys:
         select = dict(zip(columns, key, strict=True))
         seen = _seen(configurations.read_markers(path, length_unit=unit, select=select))
-        listed = ", ".join(f"{bare(c)} = {quoted(v)}" for c, v in select.items())
         poses.append(
-            RecordedPose(" ".join(key) or "pose", path, f"{{ {listed} }}", seen)
+            RecordedPose(" ".join(key) or "pose", path, toml_value(select), seen)
         )
     return poses
 
@@ -212,13 +211,3 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
 def _seen(table: MarkerTable) -> dict[str, Float[HostArray, "3"]]:
     pairs = zip(table.names, table.positions, strict=True)
     return {name: place for name, place in pairs if np.isfinite(place).all()}
-
-
-def quoted(text: str) -> str:
-    """Write a text as TOML has it, which escapes as JSON does."""
-    return json.dumps(text, ensure_ascii=False)
-
-
-def bare(key: str) -> str:
-    """Write a key as TOML has it, in quotes where it needs them."""
-    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else quoted(key)
