@@ -3,7 +3,7 @@
 import os
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -107,14 +107,18 @@ def write_inp(
             'with formulation = "displacement" in [material], the same element.'
         )
     wrapped = (line for note in notes for line in textwrap.wrap(note, 97))
+    materials = [*_materials(model, law)]
+    # Gravity acts on these: a set of all tets would overlap them, which many programs
+    # that read meshes refuse.
+    sets = [line.split("=")[1] for line in materials if line.startswith("*ELSET")]
     lines = [
         *("*HEADING", title, "** SI: m, kg, s, N, Pa"),
         *(f"** {line}" for line in wrapped),
         *_mesh(model.mesh),
-        *_materials(model, law),
+        *materials,
         *_springs(model.mesh, configuration),
         *("*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1."),
-        *_held_and_loaded(model, configuration),
+        *_held_and_loaded(model, configuration, sets),
         *_pressures(model, configuration),
         *("*NODE FILE", "U", "*EL FILE", "S, E"),
         *("*NODE PRINT, NSET=NALL, FREQUENCY=1000", "U", "*END STEP"),
@@ -170,7 +174,7 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
     for i, x in enumerate(mesh.points, start=1):
         yield ", ".join((str(i), *map(_number, x)))
     kind = "C3D4" if mesh.order == 1 else "C3D10"
-    yield f"*ELEMENT, TYPE={kind}, ELSET=EALL"
+    yield f"*ELEMENT, TYPE={kind}"
     for i, nodes in enumerate(mesh.tets + 1, start=1):
         yield ", ".join(map(str, (i, *nodes)))
     taken: set[str] = set()
@@ -250,8 +254,10 @@ def _between_nodes(
     return pairs, np.round(total * scale) / scale
 
 
-def _held_and_loaded(model: Model, c: ConfigurationArrays) -> Iterator[str]:
-    """Write rigid supports, dead loads and gravity."""
+def _held_and_loaded(
+    model: Model, c: ConfigurationArrays, sets: Sequence[str]
+) -> Iterator[str]:
+    """Write rigid supports, dead loads, and gravity on sets of tets."""
     n_nodes = model.mesh.n_nodes
     fixed, force = np.asarray(c.fixed)[:n_nodes], np.asarray(c.dead_loads)[:n_nodes]
     imposed = np.asarray(c.imposed)
@@ -268,7 +274,8 @@ def _held_and_loaded(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     size = float(np.linalg.norm(g))
     if size > 0.0 and np.any(np.asarray(model.density) > 0.0):
         along = ", ".join(map(_number, g / size))
-        yield from ("*DLOAD", f"EALL, GRAV, {_number(size)}, {along}")
+        yield "*DLOAD"
+        yield from (f"{name}, GRAV, {_number(size)}, {along}" for name in sets)
 
 
 def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:

@@ -141,7 +141,7 @@ def test_supports_and_loads(tmp_path):
     (step,) = only(blocks, "STEP")
     assert "NLGEOM" in step.options
     (gravity,) = only(blocks, "DLOAD")
-    assert gravity.rows == [["EALL", "GRAV", "5", "0.6", "0", "-0.8"]]
+    assert gravity.rows == [["E1", "GRAV", "5", "0.6", "0", "-0.8"]]
     (loads,) = only(blocks, "CLOAD")
     total = np.zeros(3)
     for node, axis, value in loads.rows:
