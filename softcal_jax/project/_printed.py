@@ -110,7 +110,7 @@ def _known(entry: Entry, result: DesignResult, printing: Printing) -> dict[str, 
 def _document(raw: dict[str, Any]) -> str:
     """Write a document of TOML; tables below the first level stand in one line."""
     is_table = lambda value: isinstance(value, dict)
-    is_list = lambda value: isinstance(value, list) and value and is_table(value[0])
+    is_list = lambda v: isinstance(v, list) and v != [] and all(map(is_table, v))
     lines = [
         f"{toml_key(key)} = {toml_value(value)}"
         for key, value in raw.items()
