@@ -86,3 +86,48 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
         monkeypatch.undo()
         assert main(command) == 0
         assert "step 1" not in capsys.readouterr().out  # nothing is fitted again
+
+
+FILES = {
+    "project file": ["check", "HERE"],
+    "project file of a fit": ["calibrate", "HERE", "-o", "out"],
+    "picture": ["check", "project.toml", "-o", "HERE.png"],
+    "checkpoint": ["calibrate", "project.toml", "-o", "out", "--checkpoint", "HERE"],
+    "model": ["mesh", "HERE", "-o", "out.msh"],
+    "mesh file": ["new", "out", "--model", "HERE"],
+    "job": ["export", "inp", "results", "-o", "HERE", "--force"],
+    "sweep file": ["sweep", "HERE"],
+    "database": ["sweep", "sweep.toml", "-o", "HERE"],
+    "sweep database": ["sweep", "show", "HERE"],
+    "plot": ["sweep", "show", "sweep.sqlite", "--plot", "HERE"],
+    "table": ["sweep", "show", "sweep.sqlite", "--csv", "HERE"],
+    "sheet": ["tags", "-o", "HERE", "--force"],
+    "foam": ["export", "icesl", "project.toml", "-o", "out", "--table", "HERE"],
+}
+
+
+@pytest.mark.parametrize("what", FILES)
+@pytest.mark.parametrize("place", [".", "", "/"])
+def test_a_directory_is_no_file(tmp_path, capsys, monkeypatch, what, place):
+    """Said alike by all commands, before anything is written."""
+    write_small_project(tmp_path)
+    (tmp_path / "sweep.toml").write_text('project = "project.toml"\n[axes]\nstart=[0]')
+    (tmp_path / "a.png").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    words = [place if word == "HERE" else word for word in FILES[what]]
+    assert main([{"HERE.png": "a.png"}.get(word, word) for word in words]) == 2
+    errors = capsys.readouterr().err
+    shown = "a.png" if what == "picture" else place or "."
+    assert says(errors, f"{shown} is a directory; name ... file in it.")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("what", ["picture", "checkpoint", "job", "database", "sheet"])
+def test_a_file_needs_a_folder(tmp_path, capsys, monkeypatch, what):
+    write_small_project(tmp_path)
+    (tmp_path / "sweep.toml").write_text('project = "project.toml"\n[axes]\nstart=[0]')
+    monkeypatch.chdir(tmp_path)
+    words = [word.replace("HERE", "none/a") for word in FILES[what]]
+    assert main(words) == 2
+    assert says(capsys.readouterr().err, "folder none of", "does not exist: make it")

@@ -284,3 +284,16 @@ def test_gmsh_leaves_no_trace(step):
 def test_nothing_is_printed(step, capfd):
     mesh_cad(step, size=2 * SIZE)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("place", ["a box.step", "./a box.step", "../C A D/a box.step"])
+def test_a_relative_path(tmp_path, monkeypatch, place):
+    """Gmsh works in a folder of its own; what it refuses is named as it was typed."""
+    (tmp_path / "C A D").mkdir()
+    monkeypatch.chdir(tmp_path / "C A D")
+    with modelled("a box.step") as shape:
+        shape.addBox(0, 0, 0, 20, 10, 10)
+    assert volumes(mesh_cad(place, size=0.02)).sum() == pytest.approx(2e-6)
+    _mesh.Path(place).write_text("ISO-10303-21;\n")
+    with pytest.raises(ValueError, match=rf"^{_mesh.Path(place)}: "):
+        mesh_cad(place, size=0.02)
