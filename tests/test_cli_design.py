@@ -159,26 +159,31 @@ def test_the_printed_robot_is_a_project_of_its_own(designed):
     np.testing.assert_allclose(heights, [8.9e-3, 5e-3, 7.8e-3, 0.0], atol=3e-4)
 
 
-def test_poses_of_the_print_calibrate_it(designed, tmp_path):
-    """Its root is a fifth softer than ordered: found again, from the same project."""
-    printed = load_project(designed / "project.toml")
+def write_poses_of_the_print(design, folder):
+    """Poses of a robot whose root is a fifth softer than ordered, in its project."""
+    printed = load_project(design / "project.toml")
     true = {q.name: float(q.start) for q in printed.parameters}
     true |= {name: 0.8 * value for name, value in true.items() if "root" in name}
     simulated, _ = printed.simulate(true)
-    raw = tomllib.loads((designed / "project.toml").read_text())
+    raw = tomllib.loads((design / "project.toml").read_text())
     lines = ["configuration,marker,x_mm,y_mm,z_mm"]
     for pose in simulated.configurations:
         for p in pose.points:
             x, y, z = 1e3 * p.simulated
             lines.append(f"{pose.name},{p.name},{x:.9f},{y:.9f},{z:.9f}")
     assert [table["name"] for table in raw["configurations"]] == ["bent", "curled"]
-    (tmp_path / "poses.csv").write_text("\n".join(lines))
-    text = (designed / "project.toml").read_text()
+    (folder / "poses.csv").write_text("\n".join(lines))
+    text = (design / "project.toml").read_text()
     for name in ("bent", "curled"):
         select = f'{{ configuration = "{name}" }}'
         measured = f'measured = {{ file = "poses.csv", select = {select} }}'
         text = text.replace(f'name = "{name}"', f'name = "{name}"\n{measured}')
-    (tmp_path / "project.toml").write_text(text)
+    (folder / "project.toml").write_text(text)
+
+
+def test_poses_of_the_print_calibrate_it(designed, tmp_path):
+    """Found again, from the same project."""
+    write_poses_of_the_print(designed, tmp_path)
     result = load_project(tmp_path / "project.toml").calibrate()
     assert result.converged
     found = {p.name: p.value / p.start for p in result.parameters}
