@@ -159,7 +159,7 @@ SCENES = {
     "README.md": (rod("finger.step", "markers.csv"), ()),
     "docs/start/first-calibration.md": (nothing, SLOW),
     "docs/start/index.md": (nothing, ()),
-    "docs/start/own-robot.md": (rod("robot.step", "poses.csv"), ()),
+    "docs/start/own-robot.md": (rod("robot.step", "poses.csv"), SLOW),
     "docs/guide/contact.md": (nothing, SLOW),
     "docs/guide/control.md": (finger, SLOW),
     "docs/guide/design.md": (design, SLOW),
