@@ -14,7 +14,10 @@ from softcal_jax.project import ProjectWarning, guesses_left, load_project
 from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
-"""Where markers are on the beam [mm]; one stands on a post of 1 mm."""
+"""Where markers are read at rest [mm]; one lies 1 mm above the beam."""
+
+GUESSED = {**PLACES, "top": (60.0, 10.0, 20.0)}
+"""The points of the beam nearest to them [mm]."""
 
 MOVED = {"tip": -2.0, "top": -2.0, "foot": 0.0}
 """How far they move along z, with a weight on the tip [mm]."""
@@ -127,7 +130,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     rest, pose = project.calibration
     assert (rest.name, pose.name) == ("rest", "a")
     assert rest.loads == ()
-    np.testing.assert_allclose(1e3 * pose.markers.positions, [*PLACES.values()])
+    np.testing.assert_allclose(1e3 * pose.markers.positions, [*GUESSED.values()])
     np.testing.assert_allclose(
         1e3 * (pose.measured - rest.measured)[:, 2], [*MOVED.values()]
     )
@@ -259,8 +262,21 @@ def test_units_are_guessed_by_size(tmp_path):
     project = loaded(tmp_path / "mine")
     np.testing.assert_allclose(project.model.mesh.size, made.size)
     np.testing.assert_allclose(
-        1e3 * project.calibration[0].markers.positions, [*PLACES.values()]
+        1e3 * project.calibration[0].markers.positions, [*GUESSED.values()]
     )
+
+
+def test_places_of_markers_are_guesses(tmp_path, body, capsys):
+    """Read at rest, where the body hangs 7 mm down; whatever the pose is called."""
+    table = write_rows(tmp_path / "poses.csv", (0, 0, -7.0), poses=("unloaded", "a"))
+    assert new(tmp_path / "mine", "--model", body, "--markers", table) == 0
+    assert says(capsys.readouterr().out, "Missing: where the markers are glued")
+    project = loaded(tmp_path / "mine")
+    placed = project.calibration[0].markers.positions
+    np.testing.assert_allclose(1e3 * placed[:, 2], [3.0, 14.0, 0.0], atol=1e-9)
+    guesses = {g.text.split()[0]: g.remark for g in guesses_left(project.path)}
+    assert says(guesses["foot"], "glued ... 2 mm from the mesh")
+    assert {"tip", "top", "foot"} <= guesses.keys()
 
 
 def test_recordings_over_time_hold_a_pose_each(tmp_path, body):
@@ -371,7 +387,7 @@ def test_a_proposed_project_is_calibrated_as_it_is(tmp_path, body):
     result = project.calibrate()
     assert result.converged
     (E,) = result.parameters
-    # The markers are where they hang at rest, millimetres from where they are glued.
+    # The places of the markers are guesses, millimetres from where they are glued.
     assert E.value == pytest.approx(300e3, rel=0.02)
 
 

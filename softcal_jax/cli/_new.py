@@ -107,7 +107,10 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
         return
     others = ", ".join(pose.name for pose in recorded.others) or "no other"
     yield f"Poses: {recorded.rest.name} (at rest) and {others}."
-    yield "Markers at rest, and their recorded distance from the mesh:"
+    yield (
+        "Missing: where the markers are glued. Gravity acts in every reading, so the "
+        "nearest points of the mesh are guessed, this far from those at rest:"
+    )
     off = lambda marker: readable_values([marker.distance], "m", digits=3)
     markers = findings.markers
     yield from aligned([(m.name, off(m) if m.distance else "inside") for m in markers])

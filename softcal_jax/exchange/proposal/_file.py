@@ -130,27 +130,25 @@ def _actuators(findings: Findings) -> Iterator[str]:
 
 
 def _markers(findings: Findings) -> Iterator[str]:
-    """Write where markers are at rest, each with its distance from the mesh."""
+    """Write where markers are glued: a guess, since gravity acts in every pose."""
     recorded = findings.recorded
-    yield "# Where they stand at rest, in the frame of the mesh."
+    yield "# Where they are glued: on the body without load, in the frame of the mesh."
     if findings.own_frame:
         yield """# The recording has a frame of its own, off the mesh: measure where
 # these are on the robot. Here they are only somewhere on it."""
-    farthest = max(marker.distance for marker in findings.markers)
+    elif recorded is not None:
+        rest = toml_value(recorded.rest.name)
+        yield f"""# Readings do not tell, since gravity acts in all of them. These are
+# the points of the mesh nearest to {rest}: measure them on the robot."""
     yield "[markers]"
     yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
-    if farthest > 0.01 and not findings.own_frame:  # more than `Markers` accepts
-        yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
     for marker in findings.markers:
-        line = f"{toml_key(marker.name)} = {in_mm(marker.place)}"
-        off = readable_values([marker.distance], "m", digits=3)
-        if recorded is None:
-            yield f"{line} # CHANGE: where you glue it, and what it is called"
-        elif findings.own_frame or not recorded.others:
-            yield f"{line} # CHANGE: where it is at rest; recorded {off} from the mesh"
-        else:
-            yield f"{line} # recorded {off} from the mesh"
+        remark = "where you glue it, and what it is called"
+        if recorded is not None:
+            off = readable_values([marker.distance], "m", digits=3)
+            remark = f"where it is glued; recorded {off} from the mesh"
+        yield f"{toml_key(marker.name)} = {in_mm(marker.place)} # CHANGE: {remark}"
 
 
 def _shared(findings: Findings) -> Iterator[str]:
@@ -178,8 +176,8 @@ def _shared(findings: Findings) -> Iterator[str]:
         guess = "# CHANGE: a guess, by the size of the mesh"
         yield f'{off}length_unit = "{recorded.unit}" {guess}'
     if recorded.others:
-        yield """# Compared are motions from this pose: where a marker is glued is known
-# worse than how far it moves."""
+        yield """# Compared are motions from this pose: for them rough places of markers
+# do. Once you measured these, delete the next line: then its sag counts too."""
         yield f"{off}displacement_from = {toml_value(recorded.rest.name)}"
     if findings.own_frame:
         listed = ", ".join(map(toml_value, recorded.stillest(3)))

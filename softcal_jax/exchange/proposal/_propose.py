@@ -132,14 +132,12 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
 def _markers(
     mesh: TetMesh, recorded: Recorded, located: MaterialPoints, *, own_frame: bool
 ) -> tuple[MarkerPlace, ...]:
-    """Place markers where they were seen at rest, or at points of the mesh."""
-    places = recorded.positions
+    """Place markers at the points of the mesh that are nearest to their readings."""
+    places = located.foot
     if own_frame:
         box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
-        shifted = places + box(mesh.points) - box(places)
+        shifted = recorded.positions + box(mesh.points) - box(recorded.positions)
         places = locate(mesh, shifted, max_distance=np.inf).foot
-    elif not recorded.others:
-        places = located.foot
     placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
     return tuple(MarkerPlace(*each) for each in placed)
 
