@@ -14,9 +14,10 @@ class RESULTS(eqx.Enumeration):
         "mechanism does, or raise max_steps ([newton] in a project file)"
     )
     limit_point = (
-        "a limit point: the body balloons, buckles or snaps through, and no stable "
-        "equilibrium follows at a higher load; check modulus, wall and units, reduce "
-        "the load, or trace the branch with solve_equilibrium(..., path=LoadPath())"
+        "a limit point: the largest load that the body or its law bears, such as the "
+        "largest pressure of a chamber; no stable equilibrium follows at a higher one. "
+        "Check modulus, wall and units, reduce the load, or trace the branch with "
+        "solve_equilibrium(..., path=LoadPath())"
     )
     states_used_up = (
         "the path along the load needs more states to reach the full load; raise "
@@ -24,16 +25,17 @@ class RESULTS(eqx.Enumeration):
     )
     load_step_too_small = (
         "load stepping gave up: no Newton step succeeded on the smallest load "
-        "increment; the load may be beyond what the body can carry (buckling, "
-        "collapse), or something can move with hardly any energy, as a mechanism does"
+        "increment; the load may be beyond what the body or its law can carry, or "
+        "something can move with hardly any energy, as a mechanism does"
     )
     unstable = (
-        "the state is unstable: its tangent has negative eigenvalues (buckling), so no "
-        "stable equilibrium follows this load path"
+        "the state is unstable: its tangent has negative eigenvalues, so no stable "
+        "equilibrium follows this load path. The structure has lost its stability, or "
+        "the law its own: St. Venant-Kirchhoff, for one, below a stretch of 0.58"
     )
     singular = (
-        "the tangent could not be factorized: it is singular, as for a mechanism or at "
-        "the onset of buckling, or not finite; check the supports and the material"
+        "the tangent could not be factorized: it is singular, as for a mechanism or "
+        "where stability is lost, or not finite; check the supports and the material"
     )
     inverted = (
         "some tets are inverted (det F <= 0), at the full load or in any load step "

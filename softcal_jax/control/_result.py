@@ -26,14 +26,14 @@ class OUTCOMES(eqx.Enumeration):
     )
     stalled = (
         "steps were refused until none was left, short of a minimum; the equilibria "
-        "may jump there (buckling), or newton.rtol be too coarse"
+        "may jump there, or newton.rtol be too coarse"
     )
     max_steps = "the search did not end within max_steps; raise it"
     no_equilibrium = "the start has no equilibrium; start from another actuation"
     singular = (
-        "the tangent at the start is singular: something moves freely or is about to "
-        "buckle, or two actuators impose the same displacement; hold it, command one "
-        "of them by force, or start from another actuation"
+        "the tangent at the start is singular: something moves freely or loses its "
+        "stability, or two actuators impose the same displacement; hold it, command "
+        "one of them by force, or start from another actuation"
     )
 
 

@@ -95,7 +95,7 @@ def locate(
         weights[i] = N + dN[i] @ step
     if (distance > max_distance).any():
         labels = names or [f"point {i}" for i in range(len(p))]
-        raise _too_far(p, distance, max_distance, labels)
+        raise _too_far(mesh, p, distance, max_distance, labels)
     nodes = mesh.tets[tet]
     slopes = dN @ np.linalg.inv(np.swapaxes(mesh.points[nodes], 1, 2) @ dN)
     return MaterialPoints(tet, b, distance, foot, nodes, weights, slopes)
@@ -148,7 +148,11 @@ def _nearest_on_boundary(
 
 
 def _too_far(
-    points: HostArray, distance: HostArray, limit: float, labels: Sequence[str]
+    mesh: TetMesh,
+    points: HostArray,
+    distance: HostArray,
+    limit: float,
+    labels: Sequence[str],
 ) -> ValueError:
     worst = int(np.argmax(distance))
     where = readable_values(points[worst].tolist(), "m")
@@ -156,10 +160,16 @@ def _too_far(
     far = np.flatnonzero(distance > limit).tolist()
     others = [labels[i] for i in far if i != worst]
     also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
+    check = "Check the frame of the points"
+    # Points near the mesh and its origin stay near it, whatever they are divided by.
+    if distance[far].min() > mesh.size:
+        in_mm = 1e-3 * points[far]
+        outside = in_mm[tets_at(mesh, in_mm)[0] < 0]
+        if all(gap <= limit for *_, gap in _nearest_on_boundary(mesh, outside)):
+            check = "Give the points in metres and not millimetres"
     return ValueError(
         f"{labels[worst]} at {where} lies {away} from the mesh, farther than {allowed}."
-        f"{f' So do {also}.' if others else ''} Check the frame and the length unit of "
-        "the points, metres and not millimetres."
+        f"{f' So do {also}.' if others else ''} {check}."
     )
 
 

@@ -127,8 +127,8 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         ) from error
     except ParserError as error:
         raise ValueError(
-            f"mesh file {path} cannot be read as {FORMATS[suffix]}; it may be "
-            f"truncated or not be a mesh. The parser said: {error}"
+            f"mesh file {path} cannot be read as {FORMATS[suffix]}. The parser said: "
+            f"{error}"
         ) from error
     if said:
         notes.append(f"meshio says: {said}")

@@ -191,8 +191,7 @@ def _read(path: Path) -> ResultFile:
             first = error.errors()[0]
             what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
         raise ResultError(
-            f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
-            f"or cut short? {what}."
+            f"{path}: expected {RESULT} as softcal calibrate writes it. {what}."
         ) from error
     if not data.converged:
         warnings.warn(

@@ -117,13 +117,17 @@ def test_measured_without_markers():
 
 
 def test_marker_far_outside_the_mesh():
-    """The message names the markers, the configuration, and the likely unit error."""
+    """The message names markers and configuration, and a unit that would mend it."""
     far = markers(positions=[INSIDE, [0.1, 0.01, 0.05]])
     with pytest.raises(ValueError, match=r"'one': .*'b' .*\(100, 10, 50\) mm .* 30 mm"):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
     in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))
     with pytest.raises(ValueError, match=r"'b' .*'a'.* not millimetres"):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
+    for beside in ([0.1, 0.01, 0.05], [3.0, 0.2, 50.0], [0.0, 0.0, 0.05]):
+        beside = markers(positions=[INSIDE, beside])
+        with pytest.raises(ValueError, match=r"frame of the points\.$"):
+            configuration_arrays(MESH, [Configuration("one", CLAMP, markers=beside)])
     near = markers(positions=far.positions, max_distance=0.04)
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])
 

@@ -67,6 +67,14 @@ def test_above_it_no_straight_state_is_called_stable(columns, tip):
         assert int(fallen.n_negative) > 0
 
 
+def test_no_outcome_takes_a_cause_for_granted():
+    """Chambers and laws lose their stability too."""
+    for outcome in (RESULTS.unstable, RESULTS.limit_point, RESULTS.singular):
+        assert "buckl" not in RESULTS[outcome]
+    assert "largest pressure of a chamber" in RESULTS[RESULTS.limit_point]
+    assert "law" in RESULTS[RESULTS.unstable]
+
+
 def test_a_small_push_shows_the_bent_state(columns, tip):
     """Past the bifurcation the top goes down on the side of the push."""
     bent = lane(columns, 3)

@@ -36,10 +36,8 @@ def read_stl(path: Path) -> Triangles:
     try:
         raw, _ = parse_mesh_file(path, "stl")
     except ParserError as error:
-        raise ValueError(
-            "it cannot be read as STL; it may be truncated or another kind of file. The"
-            f" parser said: {error}"
-        ) from error
+        said = f"it cannot be read as STL. The parser said: {error}"
+        raise ValueError(said) from error
     triangles = raw.cells_dict.get("triangle", np.zeros((0, 3), int))
     points = np.asarray(raw.points, float)
     if not len(triangles) or not np.isfinite(points).all():
