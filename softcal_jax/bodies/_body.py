@@ -126,7 +126,8 @@ class RigidBody(Module):
         mounting: Motion from its pose in the mesh to its pose as mounted, as when a
             flat sheet is bent onto motors; relative to the other body if tied.
         tied_to: Another body, not tied itself, to which this one is fixed.
-        mass: Mass in addition to that of its tets [kg].
+        mass: Mass in addition to that of its tets; none by default, and then it is
+            named where gravity acts on a body without tets of its own [kg].
         centre_of_mass: Position of that mass in the mesh at rest; the origin of the
             frame by default [m].
         shape: Its shape as an obstacle; none by default.
@@ -142,7 +143,7 @@ class RigidBody(Module):
     axes: Float[HostArray, "3 3"] | None = eqx.field(converter=optional, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
-    mass: float = 0.0
+    mass: float | None = None
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
         converter=optional, default=None
     )
@@ -163,7 +164,7 @@ class RigidBody(Module):
         for name in ("origin", "centre_of_mass"):
             if (value := getattr(self, name)) is not None:
                 three_numbers(f"{name} of rigid body {self.name!r}", "m", value)
-        if not 0.0 <= self.mass < np.inf:
+        if self.mass is not None and not 0.0 <= self.mass < np.inf:
             raise ValueError(
                 f"mass of rigid body {self.name!r} must be finite and not negative "
                 f"[kg], got {self.mass:g}."
@@ -247,6 +248,7 @@ class BodyArrays(Module):
         mounting_rotation: Rotation vector of the mounting [rad].
         mass: Mass in addition to that of the tets [kg].
         mass_weights: Weights of the centre of this mass on the frame nodes [-].
+        is_weighed: Whether this mass was stated, be it zero.
     """
 
     attached: Int[HostArray, " n_attached"]
@@ -261,6 +263,7 @@ class BodyArrays(Module):
     mass_weights: Float[HostArray, "n_b 4"]
     length: Float[HostArray, ""]
     names: tuple[str, ...] = eqx.field(static=True)
+    is_weighed: tuple[bool, ...] = eqx.field(static=True)
 
     @property
     def n_bodies(self) -> int:
@@ -327,10 +330,11 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         # Not jnp.asarray, which would compile a program for every shape.
         mounting_translation=jax.device_put(translations),
         mounting_rotation=jax.device_put(rotations),
-        mass=jax.device_put(stacked([b.mass for b in bodies])),
+        mass=jax.device_put(stacked([b.mass or 0.0 for b in bodies])),
         mass_weights=stacked(centres, 4),
         length=length,
         names=names,
+        is_weighed=tuple(b.mass is not None for b in bodies),
     )
 
 

@@ -59,9 +59,9 @@ class Uncertain(Module):
         density: Density of the body, relative [-]. One error for the whole body.
         gravity: Direction of gravity in the frame of the mesh, about each of two axes
             [rad]. One error for all configurations that state the same gravity.
-        loads: Dead loads, relative [-]. One error for all loads of a name in all
-            configurations, since they are weighed on the same scale: such an error is
-            not averaged away.
+        loads: Dead loads and masses of rigid bodies, relative [-]. One error for each
+            body, and one for all loads of a name in all configurations, since they are
+            weighed on the same scale: such an error is not averaged away.
         actuators: Imposed forces, relative [-]. One error for each actuator.
         clamp: Depth at which a clamp really grips the body, along the normal of its
             faces [m]. One error for all configurations that are held alike.
@@ -166,6 +166,21 @@ def _obstacles(poses: Poses) -> Mapping[str, Scope]:
     stands = np.any(poses.arrays.bodies.is_present[:, which], axis=1)
     return {"": tuple("" if some else None for some in stands)} if which.size else {}
 
+
+QUANTITIES["body_mass"] = Quantity(
+    "mass of {of}",
+    entry_of("mechanism.bodies.mass"),
+    noun="rigid body",
+    names=attrgetter("mechanism.bodies.names"),
+    relative=True,
+    unit="kg",
+    uncertain="loads",
+    occurs=lambda p: each_of(
+        p.model.mechanism.bodies.names,
+        p.arrays.gravity.any(axis=1, keepdims=True)
+        & (np.asarray(p.model.mechanism.bodies.mass) > 0.0),
+    ),
+)
 
 QUANTITIES["contact_scale"] = Quantity(
     "scale of contact",

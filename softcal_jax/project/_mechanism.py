@@ -52,7 +52,7 @@ class BodyTable(Table):
     axes: tuple[typed.Direction, typed.Direction, typed.Direction] | None = None
     mounting: MotionTable = MotionTable()
     tied_to: str | None = None
-    mass: typed.Mass = 0.0
+    mass: typed.Mass | None = None
     centre_of_mass: typed.Position | None = None
     shape: AnyShape | None = None
     friction: typed.Number = 0.0

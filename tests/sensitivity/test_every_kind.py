@@ -71,7 +71,13 @@ MODEL = build_model(
     NeoHookean(5e5, 0.3),
     density=1000.0,
     bodies=[
-        RigidBody("base", "x_min", axes=hinge_axes((0, 1, 0))),
+        RigidBody(
+            "base",
+            "x_min",
+            axes=hinge_axes((0, 1, 0)),
+            mass=0.02,
+            centre_of_mass=(0.02, 0.01, 0.02),
+        ),
         # The cushion is so thick that no point leaves it: all is smooth.
         RigidBody("table", shape=HalfSpace(), origin=(0.0, 0.0, -0.075), friction=0.5),
     ],
@@ -120,6 +126,7 @@ SPACE = ParameterSpace(
         motor_zero("m", limit=0.2, **KNOWN),
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
         *mounting("table", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
+        *setup_parameters("body_mass", "base", nominal=0.02, limit=2.0, **KNOWN),
         *setup_parameters("contact_scale", nominal=0.2, limit=2.0, **KNOWN),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
