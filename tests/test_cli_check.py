@@ -81,6 +81,17 @@ def test_one_of_each_kind(every_kind, capsys):
         assert near.sum() > 100, colour
 
 
+def test_what_the_model_leaves_out(every_kind, capsys):
+    """A cable and a force at points of bare tets, and a body that nobody weighed."""
+    _, lines, _ = checked(every_kind, capsys, "--no-pictures")
+    start = lines.index("Left out of the model")
+    left_out = lines[start + 1 : lines.index("", start)]
+    assert says(left_out, "what cable 'left' moves ... dent ... [bodies]")
+    assert says(left_out, "what force actuator 'push' moves")
+    assert says(left_out, "No mass ... 'arm'")
+    assert len(left_out) == 3
+
+
 def test_markers_of_recordings(tmp_path, capsys):
     """An earlier picture is replaced, a picture of someone else is not."""
     path = write_small_project(tmp_path, ('[markers]\nstd = "0.1 mm"', "[markers]"))

@@ -17,6 +17,7 @@ from softcal_jax.actuators._arrays import (
     displacement_rows as displacement_rows,
 )
 from softcal_jax.actuators._cable import (
+    AbstractGuided as AbstractGuided,
     Cable as Cable,
     CableSegments as CableSegments,
     Guide as Guide,
@@ -25,6 +26,7 @@ from softcal_jax.actuators._forces import (
     ForceActuator as ForceActuator,
     Motor as Motor,
     SurfaceForceActuator as SurfaceForceActuator,
+    WeightedNodes as WeightedNodes,
 )
 from softcal_jax.actuators._pressure import (
     Chamber as Chamber,

@@ -25,9 +25,12 @@ from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumSolution,
     Model,
+    Omission,
     RobotState,
     compiled_effectors,
     effector_values,
+    omission_sentences,
+    omissions,
     robot_states,
 )
 from softcal_jax.inference import UNLIKELY, LinearModel, whitened
@@ -67,6 +70,7 @@ class ConfigurationResult(Module):
         posed: The configuration as described; None where a result was made without it.
         self_contact: Where the body passes through itself; None if it does not, or
             there is no equilibrium.
+        omissions: What else the model leaves out.
     """
 
     name: str
@@ -86,6 +90,7 @@ class ConfigurationResult(Module):
     columns: Float[HostArray, "n_coordinates n_columns"] | None = None
     posed: Configuration | None = None
     self_contact: SelfContact | None = None
+    omissions: tuple[Omission, ...] = ()
 
     def __str__(self) -> str:
         """Write how far the markers are off before and after, in one line."""
@@ -227,15 +232,17 @@ def off_by(poses: Sequence[tuple[str, float, float]], done: str = "") -> str:
     return "; ".join(each[:MOST_NAMED] + more)
 
 
-def touching(fits: Sequence[ConfigurationResult]) -> tuple[str, ...]:
-    """Name the poses in which the body passes through itself, in a sentence."""
+def omitted(fits: Sequence[ConfigurationResult]) -> tuple[str, ...]:
+    """Say what the model leaves out, and in which poses the body touches itself."""
+    sentences = omission_sentences(o for fit in fits for o in fit.omissions)
     deep = [(f.self_contact, f.name) for f in fits if f.self_contact is not None]
     if not deep:
-        return ()
+        return sentences
     deep.sort(key=lambda one: -one[0].depth[0])
     names = listed([name for _, name in deep], MOST_NAMED)
     words = f"{'up to ' * (len(deep) > 1)}{deep[0][0].words}"
-    return (f"The body touches itself in {names}, {words}: this is not modelled.",)
+    touches = f"The body touches itself in {names}, {words}: this is not modelled."
+    return *sentences, touches
 
 
 class SimulationResult(Result):
@@ -257,7 +264,7 @@ class SimulationResult(Result):
     @property
     def doubts(self) -> tuple[str, ...]:
         """What the model leaves out, one sentence each; empty if nothing is known."""
-        return touching(self.configurations)
+        return omitted(self.configurations)
 
     @property
     def headline(self) -> str:
@@ -397,9 +404,18 @@ def _results(
             robot=states[i],
             posed=configuration,
             self_contact=_self_contact(model, lanes, solution, states[i], i),
+            omissions=_omissions(model, configuration, lanes, solution, i),
         )
         for i, configuration in enumerate(configurations)
     )
+
+
+def _omissions(model, configuration, lanes, solution, i: int) -> tuple[Omission, ...]:
+    """List what a configuration with an equilibrium leaves out."""
+    if not solution.converged[i]:
+        return ()
+    lane, u = jax.device_get((lane_of(lanes.arrays, i), solution.displacement[i]))
+    return tuple(omissions(model, configuration, lane, u, lanes.effectors[i]))
 
 
 def _self_contact(model, lanes, solution, state, i: int) -> SelfContact | None:

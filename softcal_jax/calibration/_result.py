@@ -14,7 +14,7 @@ from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     off_by,
-    touching,
+    omitted,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks, contact_doubts
@@ -392,12 +392,12 @@ class CalibrationResult(Result):
 
     @property
     def contact_doubts(self) -> tuple[str, ...]:
-        """Where contact is not what the model takes it for, one sentence each.
+        """What the model leaves out, and contact that is not as modelled, in sentences.
 
         That is on obstacles, or where the body passes through itself.
         """
         contacts, fits = self.model.mechanism.contacts, self.configurations
-        return *contact_doubts(contacts, fits), *touching(fits)
+        return *contact_doubts(contacts, fits), *omitted(fits)
 
     @property
     def missed(self) -> float:

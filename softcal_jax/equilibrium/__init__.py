@@ -52,6 +52,11 @@ from softcal_jax.equilibrium._linearisation import (
 )
 from softcal_jax.equilibrium._model import Model as Model
 from softcal_jax.equilibrium._newton import NewtonSettings as NewtonSettings
+from softcal_jax.equilibrium._omissions import (
+    Omission as Omission,
+    omission_sentences as omission_sentences,
+    omissions as omissions,
+)
 from softcal_jax.equilibrium._path import (
     EquilibriumPath as EquilibriumPath,
     LoadPath as LoadPath,

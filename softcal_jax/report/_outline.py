@@ -5,8 +5,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+import jax
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._text_table import aligned
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
@@ -21,7 +23,7 @@ from softcal_jax.configurations import (
     Unstated,
     configuration_lanes,
 )
-from softcal_jax.equilibrium import Model
+from softcal_jax.equilibrium import Model, omission_sentences, omissions
 from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
@@ -76,6 +78,15 @@ def outline(
     rows = [(f"line {guess.line}", guess.text, guess.remark) for guess in guesses]
     yield from _section("Guesses to change or confirm", (), rows)
     lanes = configuration_lanes(mesh, posed, model.mechanism)
+    each = zip(
+        posed,
+        jax.device_get([lane_of(lanes.arrays, i) for i in range(len(posed))]),
+        strict=True,
+    )
+    left_out = omission_sentences(
+        o for c, lane in each for o in omissions(model, c, lane)
+    )
+    yield from _section("Left out of the model", (), [(text,) for text in left_out])
     yield from _section("Model", (), _model(model))
     head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
     yield from _section("Rigid bodies", head, _bodies(model))
