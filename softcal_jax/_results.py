@@ -30,8 +30,7 @@ class RESULTS(eqx.Enumeration):
     )
     unstable = (
         "the state is unstable: its tangent has negative eigenvalues, so no stable "
-        "equilibrium follows this load path. The structure has lost its stability, or "
-        "the law its own: St. Venant-Kirchhoff, for one, below a stretch of 0.58"
+        "equilibrium follows this load path; the structure or its law gives way"
     )
     singular = (
         "the tangent could not be factorized: it is singular, as for a mechanism or "

@@ -411,10 +411,9 @@ def _results(
 
 
 def _omissions(model, configuration, lanes, solution, i: int) -> tuple[Omission, ...]:
-    """List what a configuration with an equilibrium leaves out."""
-    if not solution.converged[i]:
-        return ()
-    lane, u = jax.device_get((lane_of(lanes.arrays, i), solution.displacement[i]))
+    """List what a configuration leaves out, without an equilibrium as far as seen."""
+    lane = jax.device_get(lane_of(lanes.arrays, i))
+    u = np.asarray(solution.displacement[i]) if solution.converged[i] else None
     return tuple(omissions(model, configuration, lane, u, lanes.effectors[i]))
 
 

@@ -71,6 +71,8 @@ def test_a_cable_that_ends_on_bare_tets_is_named_where_its_displacement_counts(h
 def test_a_plate_carries_it_and_a_guide_in_between_is_none():
     on_plate = cable((0.04, 0.0075, 0.015), on="plate")
     assert said(on_plate, parts=[PLATE], actuation={"cable": WOUND}) == ()
+    # A place on the mesh that the plate holds is as good.
+    assert said(cable(), parts=[PLATE], actuation={"cable": WOUND}) == ()
     clamped = Cable("cable", [(0.0, 0.0075, 0.015), Guide(TIP, "plate")])
     assert said(clamped, parts=[PLATE], actuation={"cable": WOUND}) == ()
 
