@@ -147,7 +147,8 @@ def _markers(findings: Findings) -> Iterator[str]:
         remark = "where you glue it, and what it is called"
         if recorded is not None:
             off = readable_values([marker.distance], "m", digits=3)
-            remark = f"where it is glued; recorded {off} from the mesh"
+            where = f"{off} from" if marker.distance else "inside"
+            remark = f"where it is glued; recorded {where} the mesh"
         yield f"{toml_key(marker.name)} = {in_mm(marker.place)} # CHANGE: {remark}"
 
 
