@@ -24,11 +24,7 @@ from softcal_jax.calibration._checked_intervals import (
 from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
-from softcal_jax.calibration._noise import (
-    check_references,
-    correlated_noise,
-    read_once,
-)
+from softcal_jax.calibration._noise import check_references, correlated_noise, read_once
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
     warn_if_locking,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -77,26 +77,26 @@ class HistoryEntry(Module):
         return f"step {self.step}: {misfit}, {values}{refused}"
 
 
-class Saved(NamedTuple):
-    """What a calibration saves: arrays by name, and its history."""
-
-    arrays: dict[str, HostArray]
-    history: tuple[HistoryEntry, ...]
-
-
-def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
+def write_checkpoint(
+    path: Path,
+    mark: str,
+    arrays: dict[str, HostArray],
+    history: Sequence[HistoryEntry],
+) -> None:
     """Replace a checkpoint as a whole, or leave it; `mark` is a `fingerprint`."""
-    content = saved.arrays | {
+    content = arrays | {
         "version": np.array(version("softcal-jax")),
         "mark": np.array(mark),
-        "history": np.array(json.dumps([*map(vars, saved.history)])),
+        "history": np.array(json.dumps([*map(vars, history)])),
     }
     digests = {name: digest_of([array]) for name, array in content.items()}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez(file, digests=json.dumps(digests), **content)  # type: ignore[arg-type]
 
 
-def read_checkpoint(path: Path, mark: str) -> Saved:
+def read_checkpoint(
+    path: Path, mark: str
+) -> tuple[dict[str, HostArray], list[HistoryEntry]]:
     """Read the checkpoint of the calibration whose `fingerprint` is `mark`, as it was.
 
     Anything else is refused with what to do.
@@ -111,7 +111,7 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         }
         texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
         written_by, its_mark, history = texts
-        entries = tuple(HistoryEntry(**entry) for entry in json.loads(history))
+        entries = [HistoryEntry(**entry) for entry in json.loads(history)]
     except Exception as error:  # a dozen kinds, as the file may be anything
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}): {ANEW}"
@@ -134,7 +134,7 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
             "parameters, configurations, measurements, noise, solver and settings must "
             f"be the same. Otherwise {ANEW}"
         )
-    return Saved(content, entries)
+    return content, entries
 
 
 def fingerprint(
@@ -221,7 +221,7 @@ class Journal:
                 self._mark = fingerprint(*self._depends_on)
                 if self._path.exists():
                     saved = read_checkpoint(self._path, self._mark)
-                    self._arrays, self.history = saved.arrays, [*saved.history]
+                    self._arrays, self.history = saved
                 self._open = opened.pop_all()
         if self.history:
             self._begin -= self.history[-1].seconds
@@ -288,9 +288,8 @@ class Journal:
             return
         leaves = enumerate(jax.tree.leaves(tree))
         self._arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in leaves}
-        saved = Saved(self._arrays, tuple(self.history))
         try:
-            write_checkpoint(self._path, self._mark, saved)
+            write_checkpoint(self._path, self._mark, self._arrays, self.history)
             self.notes = ()
         except OSError as error:
             note = (

@@ -207,11 +207,6 @@ class Evaluator:
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
         return weighed(self.numbered, z, stacked([responses[c] for c in every]))
 
-    def _of_lane(self, z: Float[Array, " n_p"], c: int) -> Float[Array, " n_p"]:
-        """Return the scaled parameters of the specimen of a lane [-]."""
-        off = self.problem.deviations
-        return z if off is None else z + off[c]
-
     def _near(
         self,
         lanes: Sequence[int],
@@ -222,8 +217,10 @@ class Evaluator:
     ) -> list[Response]:
         states = zip(guess, guess if before is None else before, strict=True)
         each, exact = zip(lanes, states, strict=True), jnp.asarray(precise)
+        off = self.problem.deviations  # of the specimen of each lane
         arguments = [
-            (self._of_lane(z, c), self.lanes[c], *state, exact) for c, state in each
+            (z if off is None else z + off[c], self.lanes[c], *state, exact)
+            for c, state in each
         ]
         return self.workers.map(self._program, arguments)
 

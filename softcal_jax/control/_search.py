@@ -158,7 +158,11 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
         qp = limited_step(linear, jnp.asarray(decision.step_bound))
         step = np.asarray(qp.lambda_p)
         equilibrium = moved(command, arrival, step * linear.scale)
-        tried, before = _parts_at(command, linear, equilibrium), decision
+        tried, before = NOWHERE, decision
+        if equilibrium.solution.converged:
+            room = follow_room(command, equilibrium.state, linear.length)
+            off = all_errors(command, equilibrium.state, linear.energy)
+            tried = parts(room, off)
         decision = decide(linear, qp, tried, before, settings)
         if decision.accepted:
             candidate = differentiated(command, equilibrium)
@@ -189,14 +193,6 @@ def _slow(records: Sequence[StepRecord]) -> bool:
     return (
         now.cost > CLOSER * before.cost and now.violation >= CLOSER * before.violation
     )
-
-
-def _parts_at(command: Command, linear: Linear, at: Reached) -> Float[HostArray, "2"]:
-    """Compute the parts as they turned out after a step."""
-    if not bool(at.solution.converged):
-        return NOWHERE
-    room = follow_room(command, at.state, linear.length)
-    return parts(room, all_errors(command, at.state, linear.energy))
 
 
 def _outcome(

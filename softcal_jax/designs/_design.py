@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
@@ -32,12 +33,7 @@ from softcal_jax.designs._peaks import (
     peaks,
 )
 from softcal_jax.designs._printing import design_goals, over_specimens
-from softcal_jax.designs._result import (
-    Alternative,
-    DesignResult,
-    error_of,
-    expected_of,
-)
+from softcal_jax.designs._result import Alternative, DesignResult, error_of, expected_of
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -152,7 +148,7 @@ def design(
         )
     options = seed, settings or LOOP, newton, progress, search_progress
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
-    fit = _fit(asked, space, starts)
+    fit = _fit(asked, space, starts=starts)
     reached, others, lost = design_goals(fit, printing), [], ""
     asked, of_prints = asked._replace(progress=None), None
     if robust and not fit.interrupted:
@@ -173,10 +169,15 @@ def design(
         others = [Alternative(name, errors, expected_of(before), nominal)]
     # What holds a robust design is its prints.
     missed = not robust and any(not goal.met for goal in reached)
+    found = {p.name: p.value for p in fit.parameters}
+    commanded = lambda goal: {
+        name: replace(asked, value=found.get(f"{name} in {goal.name}", asked.value))
+        for name, asked in goal.actuation.items()
+    }
     result = DesignResult(
         goals=reached,
         fit=fit,
-        configurations=_commanded(fit, goals),
+        configurations=tuple(replace(g, actuation=commanded(g)) for g in goals),
         held_by=held_by(fit, reached) if missed else (),
         trades=trades(fit, reached) if missed else (),
         alternatives=(),
@@ -194,36 +195,28 @@ def design(
 
 
 def _fit(
-    asked: _Asked, space: ParameterSpace | None, starts: int | None
-) -> CalibrationResult:
-    """Fit the goals, by the loop of the calibration."""
-    first = {"starts": starts}
-    return _keeping(
-        asked, lambda goals, more: _calibrated(asked, space, goals, **(more or first))
-    )
-
-
-def _keeping(
     asked: _Asked,
-    fit_of: Callable[[tuple[Configuration, ...], dict[str, Any]], CalibrationResult],
+    space: ParameterSpace | None,
+    *,
+    prints: Sequence[Configuration] = (),
+    deviations: Float[Array, "n_c n_p"] | None = None,
+    **begin: Any,
 ) -> CalibrationResult:
     """Fit goals, and again with more weight on limits of peaks that are not kept."""
-    fit = fit_of(_with_limits(asked, KEPT), {})
-    for tighter in range(1, MOST_TIGHTENED + 1):
-        if fit.interrupted or all(peak.kept for peak in peaks(fit, asked.largest)):
-            break
-        goals = _with_limits(asked, KEPT / TIGHTER**tighter)
-        fit = fit_of(goals, {"start": jnp.asarray(fit.z)})
-    return fit
-
-
-def _with_limits(asked: _Asked, kept: float) -> tuple[Configuration, ...]:
-    """Return the goals with readings of what has a limit."""
-    more = asked.largest.readings(kept)
-    return tuple(
-        replace(goal, effectors=(*goal.effectors, *more))
-        for goal in asked.configurations
-    )
+    tighter = 0
+    while True:
+        limits = asked.largest.readings(KEPT / TIGHTER**tighter)
+        goals = [
+            replace(goal, effectors=(*goal.effectors, *limits))
+            for goal in asked.configurations
+        ]
+        goals += prints
+        fit = _calibrated(asked, space, goals, deviations=deviations, **begin)
+        if fit.interrupted or tighter == MOST_TIGHTENED:
+            return fit
+        if all(peak.kept for peak in peaks(fit, asked.largest)):
+            return fit
+        tighter, begin = tighter + 1, {"start": jnp.asarray(fit.z)}
 
 
 def _robust(
@@ -240,14 +233,12 @@ def _robust(
         for k in range(1, len(off))
         for goal in asked.configurations
     ]
-    known = {"deviations": jnp.asarray(np.repeat(off, n, axis=0))}
-    first = {"start": jnp.asarray(nominal.z)}
-
-    return _keeping(
+    return _fit(
         asked,
-        lambda goals, more: _calibrated(
-            asked, space, (*goals, *prints), **(known | first | more)
-        ),
+        space,
+        prints=prints,
+        deviations=jnp.asarray(np.repeat(off, n, axis=0)),
+        start=jnp.asarray(nominal.z),
     )
 
 
@@ -258,12 +249,10 @@ def _calibrated(
     **more: Any,
 ) -> CalibrationResult:
     """Fit some goals."""
-    entries = () if space is None else space.entries
-    whole = (
-        ParameterSpace(asked.commands)
-        if space is None
-        else replace(space, entries=(*entries, *asked.commands))
-    )
+    if space is None:
+        whole = ParameterSpace(asked.commands)
+    else:
+        whole = replace(space, entries=(*space.entries, *asked.commands))
     if asked.foam is not None:
         whole = within(asked.foam, asked.model, whole)
     if asked.change is not None:
@@ -295,16 +284,15 @@ def _alternatives(
     if any(len(entry.parameters) > 1 for entry in space.entries if entry.fields):
         stage("the same goals with the best homogeneous material")
         one = asked._replace(change=None)
-        fit = _fit(one, _homogeneous(asked.model, space), None)
+        fit = _fit(one, _homogeneous(asked.model, space), starts=None)
         if fit.interrupted:
             return
         yield _alternative("the best homogeneous material", fit)
     if asked.commands:
         stage("the same goals with actuation alone")
-        z = space.start()
-        known = space.model_at(asked.model, z)
+        known = space.model_at(asked.model, space.start())
         alone = asked._replace(model=known, foam=None, change=None)
-        fit = _fit(alone, None, 1)
+        fit = _fit(alone, None, starts=1)
         if not fit.interrupted:
             yield _alternative("actuation alone", fit)
 
@@ -334,17 +322,3 @@ def _homogeneous(model: Model, space: ParameterSpace) -> ParameterSpace:
         )
 
     return replace(space, entries=[one(entry) for entry in space.entries])
-
-
-def _commanded(
-    fit: CalibrationResult, goals: Sequence[Configuration]
-) -> tuple[Configuration, ...]:
-    """Return the goals with the actuation found."""
-    values = {p.name: p.value for p in fit.parameters}
-    commanded = lambda goal: {
-        name: replace(
-            imposed, value=values.get(f"{name} in {goal.name}", imposed.value)
-        )
-        for name, imposed in goal.actuation.items()
-    }
-    return tuple(replace(goal, actuation=commanded(goal)) for goal in goals)

@@ -9,12 +9,7 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import (
-    ControlPointParameters,
-    Likeness,
-    ParameterSpace,
-    kind_of,
-)
+from softcal_jax.fields import ControlPointParameters, Likeness, ParameterSpace, kind_of
 from softcal_jax.materials import ANGLE, UNREMARKABLE
 
 

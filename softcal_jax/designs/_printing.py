@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,23 +16,15 @@ from softcal_jax.fields import ControlPointParameters, ParameterSpace
 DRAWS = 4000  # prints that an interval is taken from
 
 
-class _Printed(NamedTuple):
-    """Errors of printing: of each parameter, as random prints, and whose they are."""
-
-    std: Float[HostArray, " n_p"]
-    draws: Float[HostArray, "n_draws n_p"]
-    owners: tuple[str, ...]
-
-
 def design_goals(
     result: CalibrationResult, printing: Printing
 ) -> tuple[DesignGoal, ...]:
     """Say what each goal comes to, as ordered and as printed."""
     std = printing.deviations(result)
     draws = std * np.random.default_rng(0).standard_normal((DRAWS, len(std)))
-    printed = _Printed(std, draws, _owners(result.space))
+    owners = _owners(result.space)
     return tuple(
-        _goal(pose, GoalFit(effector), printed)
+        _goal(pose, GoalFit(effector), std=std, draws=draws, owners=owners)
         for pose in result.configurations
         for effector in aimed(pose)
     )
@@ -76,19 +67,26 @@ def _owners(space: ParameterSpace) -> tuple[str, ...]:
     return tuple(owners[name] for name in space.names)
 
 
-def _goal(pose: ConfigurationResult, fit: GoalFit, printed: _Printed) -> DesignGoal:
-    """Say what a goal comes to."""
+def _goal(
+    pose: ConfigurationResult,
+    fit: GoalFit,
+    *,
+    std: Float[HostArray, " n_p"],
+    draws: Float[HostArray, "n_draws n_p"],
+    owners: tuple[str, ...],
+) -> DesignGoal:
+    """Say what a goal comes to, by errors of parameters and random prints of them."""
     effector, seen = fit.effector, fit.effector.seen
     assert pose.W_ep is not None
     W = pose.W_ep[effector.index, : len(effector.std)][seen]
     residual = fit.residual[seen]
-    errors = np.linalg.norm(residual + printed.draws @ W.T, axis=1)
+    errors = np.linalg.norm(residual + draws @ W.T, axis=1)
     tail = 0.5 * (1.0 - LEVEL)
     low, high = np.quantile(errors, [tail, 1.0 - tail])
-    variances = np.sum((W * printed.std) ** 2, axis=0)
+    variances = np.sum((W * std) ** 2, axis=0)
     total = float(variances.sum())
-    by_owner = dict.fromkeys(printed.owners, 0.0)
-    for owner, variance in zip(printed.owners, variances, strict=True):
+    by_owner = dict.fromkeys(owners, 0.0)
+    for owner, variance in zip(owners, variances, strict=True):
         by_owner[owner] += float(variance)
     strongest = max(by_owner, key=by_owner.__getitem__)
     return DesignGoal(
@@ -96,7 +94,7 @@ def _goal(pose: ConfigurationResult, fit: GoalFit, printed: _Printed) -> DesignG
         configuration=pose.name,
         met=bool(np.all(np.abs(fit.in_std) <= 1.0)),
         expected=float(np.sqrt(residual @ residual + total)),
-        expected_in_std=np.hypot(residual, np.linalg.norm(W * printed.std, axis=1))
+        expected_in_std=np.hypot(residual, np.linalg.norm(W * std, axis=1))
         / effector.std[seen],
         interval=(float(low), float(high)),
         hangs_on=strongest if total > 0.0 else "",

@@ -53,9 +53,6 @@ class DesignGoal(GoalFit):
         """Size of the error as ordered, in the unit of the effector."""
         return float(np.linalg.norm(self.residual))
 
-    def _words(self) -> str:
-        return str(self)
-
     def __str__(self) -> str:
         """Write what is reached, in one line."""
         show = lambda value: readable(float(f"{value:.2g}"), self.effector.unit).strip()

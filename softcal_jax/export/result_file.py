@@ -12,12 +12,7 @@ from softcal_jax import calibration
 from softcal_jax.calibration import CorrelatedNoise, LeftOut
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.contact import ContactState
-from softcal_jax.equilibrium import (
-    ActuatorState,
-    BodyPlace,
-    Reaction,
-    RobotState,
-)
+from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
 from softcal_jax.export._made import pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty

@@ -9,11 +9,7 @@ from scipy.special import chdtri
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax.calibration import (
-    MISSED,
-    CalibrationResult,
-    ConfigurationResult,
-)
+from softcal_jax.calibration import MISSED, CalibrationResult, ConfigurationResult
 from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
@@ -272,8 +268,8 @@ def _unseen(report: Identifiability) -> list[Check]:
     if report.blind:
         words = (
             f"The data leave {len(report.blind)} of {report.n_parameters} directions "
+            "of the parameters undetermined."
         )
-        words += "of the parameters undetermined."
         unseen.append((max(direction.ratio for direction in report.blind), words))
     return unseen
 

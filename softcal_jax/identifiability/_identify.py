@@ -11,7 +11,7 @@ import numpy as np
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     Evaluator,
@@ -29,7 +29,6 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumProgress,
-    EquilibriumSolution,
     Model,
     NewtonSettings,
     Workers,
@@ -296,7 +295,10 @@ def survey(
         )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
-    failures = _failures(solution, np.asarray(compliance.ok))
+    regular = np.asarray(compliance.ok)
+    failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
+    for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
+        failures[c] = RESULTS[lane_of(solution.result, c)]
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
@@ -324,18 +326,8 @@ def survey(
         linear=linear.all_fitted(),
         W_ep=np.concatenate(np.asarray(compliance.W_ep))[seen.ravel()],
         W_pp=np.sum(np.asarray(compliance.W_pp), axis=0),
-        failures=failures,
+        failures=tuple(failures),
     )
-
-
-def _failures(
-    solution: EquilibriumSolution, regular: Bool[HostArray, " n_c"]
-) -> tuple[str, ...]:
-    """Say why configurations have no equilibrium, or no regular tangent there."""
-    failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
-    for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
-        failures[c] = RESULTS[lane_of(solution.result, c)]
-    return tuple(failures)
 
 
 def _scaled_values(

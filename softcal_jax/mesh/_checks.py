@@ -40,16 +40,6 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
         raise ValueError("bad mesh:" + "".join(several + text for text in problems))
 
 
-def _shape_volumes(mesh: TetMesh) -> HostArray:
-    """Divide signed volumes by that of the regular tet with the same rms edge [-]."""
-    corners = mesh.points[mesh.tets[:, :4]]
-    vectors = np.diff(corners[:, np.array(TET_EDGES)], axis=2)[:, :, 0]
-    rms = np.sqrt((vectors**2).sum(axis=-1).mean(axis=-1))
-    volume = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
-    # Tets whose nodes all coincide have neither volume nor edges.
-    return 6.0 * np.sqrt(2.0) * volume / np.maximum(rms, np.finfo(float).tiny) ** 3
-
-
 def _listed(mesh: TetMesh, tets: HostArray) -> str:
     """List the first few tets with their centres."""
     centres = mesh.points[mesh.tets[tets[:5]]].mean(axis=1).tolist()
@@ -70,7 +60,13 @@ def _unused(mesh: TetMesh) -> Iterator[str]:
 
 
 def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
-    shape = _shape_volumes(mesh)
+    X = mesh.points[mesh.tets[:, :4]]
+    vectors = np.diff(X[:, np.array(TET_EDGES)], axis=2)[:, :, 0]
+    rms = np.sqrt((vectors**2).sum(axis=-1).mean(axis=-1))
+    volume = np.linalg.det(X[:, 1:] - X[:, :1]) / 6.0
+    # Over that of the regular tet with the same rms edge. Tets whose nodes all coincide
+    # have neither volume nor edges.
+    shape = 6.0 * np.sqrt(2.0) * volume / np.maximum(rms, np.finfo(float).tiny) ** 3
     flat = np.abs(shape) < FLAT
     inverted = (shape < 0) & ~flat
     folded = np.zeros_like(flat)

@@ -59,17 +59,6 @@ def _centred_cell() -> HostArray:
     return oriented(corners, corners)
 
 
-def _lattice_tets(cells: HostArray, pattern: str) -> HostArray:
-    """Cut all cells into tets of nodes of the lattice with half their step."""
-    grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1)
-    grid = grid.reshape(-1, 3)
-    corners = _centred_cell() if pattern == "centred" else kuhn_tets(grid)
-    nodes = 2 * grid[:, None, None] + corners
-    return np.ravel_multi_index(
-        tuple(np.moveaxis(nodes, -1, 0)), tuple(2 * cells + 1)
-    ).reshape(-1, 4)
-
-
 def beam(
     length: float,
     width: float,
@@ -117,10 +106,17 @@ def beam(
         raise ValueError(f"origin must be three finite numbers [m], got {origin}.")
     check_order(order)
     check_known("pattern", ("mirrored", "centred"), pattern)
-    each = len(_centred_cell() if pattern == "centred" else _KUHN_CELLS[0])
+    centred = _centred_cell() if pattern == "centred" else None
+    each = len(_KUHN_CELLS[0] if centred is None else centred)
     TETS.check(f"cells = {counts.tolist()}", each * math.prod(counts.tolist()))
 
-    used, tets = np.unique(_lattice_tets(counts, pattern), return_inverse=True)
+    # Tets of nodes of the lattice with half the step of the cells.
+    grid = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1)
+    grid = grid.reshape(-1, 3)
+    nodes = 2 * grid[:, None, None] + (kuhn_tets(grid) if centred is None else centred)
+    lattice = tuple(2 * counts + 1)
+    numbers = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), lattice)
+    used, tets = np.unique(numbers, return_inverse=True)
     upper = lower + extent
     axes = [
         np.linspace(a, b, 2 * n + 1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Bool, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures, _view as views
 from softcal_jax.plotting._figure import SERIES, Axes, add_view, pixel_figure, save
@@ -70,7 +70,11 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
         best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
         for index in np.flatnonzero(best):
-            place = _middle(images[k] == index, scale)
+            # Amidst its pixels, and on one of them.
+            places = np.argwhere(images[k] == index)[:, ::-1]
+            off = np.linalg.norm(places - places.mean(axis=0), axis=1)
+            nearest = places[np.argmin(off)] + 0.5
+            place = (nearest - 0.5 * np.array([width, height])) / scale
             style = {"ha": "center", "va": "center"}
             figures.draw_name(axes, groups[index], place, (0, 0), **style)
     names = [
@@ -119,14 +123,6 @@ def _image(
     for corners, index in zip(pixels, group.tolist(), strict=True):
         draw.polygon([tuple(corner) for corner in corners.tolist()], fill=index)
     return np.asarray(image)
-
-
-def _middle(seen: Bool[HostArray, "_ _"], scale: float) -> Float[HostArray, "2"]:
-    """Find a place amidst the pixels of a group, and on one of them [m]."""
-    places = np.argwhere(seen)[:, ::-1]
-    mean = places.mean(axis=0)
-    nearest = places[np.argmin(np.linalg.norm(places - mean, axis=1))]
-    return (nearest + 0.5 - 0.5 * np.array(seen.shape[::-1])) / scale
 
 
 def _colours(n: int) -> list[Colour]:

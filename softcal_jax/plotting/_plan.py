@@ -62,7 +62,10 @@ def plot_plan(
     have the same camera. Control points are numbered from 1 [m]. A point that was
     measured far away, see `farthest`, is left out. Needs no OpenGL.
     """
-    mesh, fibres = model.mesh, _fibre_directions(model)
+    mesh, fibres = model.mesh, next(iter(fibre_directions(model).values()), None)
+    stiffness = getattr(model.law, "E_f", None)
+    if fibres is not None and stiffness is not None:  # none to see where it is zero
+        fibres = fibres * (np.broadcast_to(stiffness, len(fibres)) > 0.0)[:, None]
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism)
     markers = [[p for p in rows if p.quantity == "point"] for rows in lanes.effectors]
@@ -188,18 +191,6 @@ def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -
         text = name if state is None else f"{name} ({kind})"
         place = (flat[:, 0].mean(), flat[:, 1].max())
         figures.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
-
-
-def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
-    """Return the direction of the first fibre in each tet, zero without stiffness [-].
-
-    None for a law without fibres.
-    """
-    first = next(iter(fibre_directions(model).values()), None)
-    stiffness = getattr(model.law, "E_f", None)
-    if first is None or stiffness is None:
-        return first
-    return first * (np.broadcast_to(stiffness, len(first)) > 0.0)[:, None]
 
 
 def _draw_fibres(

@@ -22,14 +22,7 @@ from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
 from softcal_jax.project._shapes import AnyShape
-from softcal_jax.project._table import (
-    Choice,
-    Maker,
-    Table,
-    TableOr,
-    by_type,
-    wrong_key,
-)
+from softcal_jax.project._table import Choice, Maker, Table, TableOr, by_type, wrong_key
 
 
 class MotionTable(Table):

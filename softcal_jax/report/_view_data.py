@@ -57,6 +57,13 @@ def view_data(
     # The map of the pictures, which is even in grey too.
     colours = matplotlib.colormaps[plotting.DISPLACEMENT_MAP](np.linspace(0, 1, 256))
     index = "<u2" if len(rest) <= _MOST else "<u4"
+    # How far obstacles reach from the corner of the box.
+    sizes = [1e3 * np.linalg.norm(s.points, axis=1).max() for s in obstacles]
+    reach = [
+        float(np.linalg.norm(obstacle["at"] - low) + sizes[obstacle["shape"]])
+        for robot in robots
+        for obstacle in robot["obstacles"]
+    ]
     entries = [
         {
             "drawn": pose.converged,
@@ -87,7 +94,7 @@ def view_data(
         "configurations": entries,
         "shapes": [_shape(surface) for surface in obstacles],
         # More than the diagonal of the box, and far enough for what stands beside.
-        "farthest": 1.8 * _MOST * step + _reach(low, obstacles, robots),
+        "farthest": 1.8 * _MOST * step + max(reach, default=0.0),
     }
 
 
@@ -196,7 +203,10 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
         picture = plotting.robot_picture(model, result.robot)
         _add_actuators(data, picture)
         data["frames"] += _bodies(model, picture)
-        data["obstacles"] += map(_obstacle, plotting.obstacles_at(model, result.robot))
+        for obstacle in plotting.obstacles_at(model, result.robot):
+            place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
+            about = {"shape": obstacle.number, "name": escaped(obstacle.name)}
+            data["obstacles"].append(about | place)
     if result.converged:
         for frame in plotting.sensor_frames(result):
             kind = "measured" if frame.is_measured else "simulated"
@@ -254,23 +264,6 @@ def _shape(surface: Any) -> dict[str, str]:
         "points": pack(points.astype("<f4")),
         "normals": pack(np.asarray(normals).astype("<f4")),
     }
-
-
-def _reach(
-    corner: Float[HostArray, "3"],
-    surfaces: Sequence[Any],
-    robots: Sequence[Mapping[str, Any]],
-) -> float:
-    """Compute how far obstacles reach from a corner of the box of the robot [mm]."""
-    sizes = [1e3 * np.linalg.norm(s.points, axis=1).max() for s in surfaces]
-    placed = [obstacle for robot in robots for obstacle in robot["obstacles"]]
-    far = lambda o: np.linalg.norm(o["at"] - corner) + sizes[o["shape"]]
-    return float(max(map(far, placed), default=0.0))
-
-
-def _obstacle(obstacle: plotting.PlacedObstacle) -> dict[str, Any]:
-    place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
-    return {"shape": obstacle.number, "name": escaped(obstacle.name), **place}
 
 
 def _loads(

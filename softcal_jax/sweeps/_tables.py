@@ -202,9 +202,7 @@ def plot_sweep(
     for figure in _chosen(result, figures, MOST_PANELS):
         factor, label = readable_figure(result, figure)
         panels[label] = factor * figure_values(rows, figure)
-    columns = {}
-    for axis in result.grouping(by):
-        columns[axis] = _places(rows, axis)
+    columns = {axis: _places(rows, axis) for axis in result.grouping(by)}
     good = len(result.of_state("converged"))
     lost = len(rows) - good
     plot_trials(

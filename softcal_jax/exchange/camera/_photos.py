@@ -123,9 +123,15 @@ def tag_pose(
         raise ValueError("there are no photographs.")
     shown = [read_photo(Path(path)) for path in photos]
     boards = [read_photo(Path(path)) for path in board]
-    _check_sizes([*shown, *boards])
+    first, size_px = shown[0], shown[0].size
+    for photo in (*shown, *boards):
+        if photo.size != size_px:
+            sizes = [f"{w} x {h} px" for w, h in (photo.size, size_px)]
+            raise ValueError(
+                f"photograph {photo.path} has {sizes[0]}, and {first.path} {sizes[1]}: "
+                "all are to be by one camera, without crop or zoom."
+            )
     _check_shown(shown, (tag, base_tag))
-    size_px = shown[0].size
     cameras = [CameraModel.unknown(size_px, f * max(size_px)) for f in _FOCAL_LENGTHS]
     if boards:
         cameras = [_camera_of(boards, cameras)]
@@ -153,17 +159,6 @@ def _camera_of(boards: Sequence[Photo], cameras: Sequence[CameraModel]) -> Camer
                 f"{_LEAST_ON_BOARD} or more: have it fill the picture."
             )
     return _fitted(boards, [board], cameras).camera
-
-
-def _check_sizes(photos: Sequence[Photo]) -> None:
-    first = photos[0]
-    for photo in photos[1:]:
-        if photo.size != first.size:
-            sizes = [f"{w} x {h} px" for w, h in (photo.size, first.size)]
-            raise ValueError(
-                f"photograph {photo.path} has {sizes[0]}, and {first.path} {sizes[1]}: "
-                "all are to be by one camera, without crop or zoom."
-            )
 
 
 def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:

@@ -8,12 +8,7 @@ import numpy as np
 
 from softcal_jax._names import check_known
 from softcal_jax.calibration import CalibrationResult
-from softcal_jax.designs import (
-    FoamTable,
-    Infill,
-    foam_table,
-    write_foam_table,
-)
+from softcal_jax.designs import FoamTable, Infill, foam_table, write_foam_table
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.icesl import _fields as fields, _report as report
 from softcal_jax.exchange.icesl._fields import Design, PrintPlane

@@ -99,8 +99,15 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
         shares["phasor_infill_theta"] = (360.0, angle / turn)
         shares["phasor_infill_phi"] = (360.0, inclination / turn)
         shares["phasor_infill_iso"] = (100.0, foam.anisotropy)
-    sample_of = _nearest_samples(samples)
-    settings = [_setting(k, *share, sample_of) for k, share in shares.items()]
+    sample_of, settings = _nearest_samples(samples), []
+    for name, (full, values) in shares.items():
+        if np.ptp(values) < 1e-4:  # far below a step
+            middle = 0.5 * (values.min() + values.max())
+            setting = SlicerSetting(name, full, constant=float(full * middle))
+        else:
+            steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
+            setting = SlicerSetting(name, full, texture=steps[sample_of])
+        settings.append(setting)
     beyond, across = foam.error > RTOL, turned & ~isotropic
     rounding = _rounding(samples, table, foam, settings, ~beyond)
     return Chosen(tuple(settings), foam, beyond, tilted, across, rounding, seams)
@@ -139,20 +146,6 @@ def _nearest_samples(samples: Samples) -> Int[HostArray, "n n n"]:
     options = {"return_distances": False, "return_indices": True}
     nearest = distance_transform_edt(index < 0, samples.grid.size, **options)
     return index[tuple(np.asarray(nearest))]
-
-
-def _setting(
-    name: str,
-    full: float,
-    values: Float[HostArray, " n_samples"],
-    sample_of: Int[HostArray, "n n n"],
-) -> SlicerSetting:
-    """Make a setting of values in [0, 1]: a constant if they are all the same."""
-    if np.ptp(values) < 1e-4:  # far below a step
-        middle = 0.5 * (values.min() + values.max())
-        return SlicerSetting(name, full, constant=float(full * middle))
-    steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
-    return SlicerSetting(name, full, texture=steps[sample_of])
 
 
 def _unwound(
