@@ -1,12 +1,9 @@
-"""Names that a user types: units of length, and messages for misspelt names."""
+"""Names that a user types, and messages for misspelt ones."""
 
 import difflib
 import re
 import zlib
 from collections.abc import Collection, Iterable, Sequence
-
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
-"""Length units of meshes and marker files."""
 
 UNNAMED_LOADS = "loads"  # name of the dead loads that have none of their own
 

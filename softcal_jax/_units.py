@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from softcal_jax._names import METRES
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
+"""Length units of meshes and marker files."""
 
 UNITS: dict[str, dict[str, float]] = {
     "m": METRES,

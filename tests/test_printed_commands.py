@@ -134,6 +134,7 @@ def design(folder, number):
     """The goals of the page; then what is measured of the robot that was printed."""
     if number == 0:
         plain = DESIGN.partition("[[configurations]]")[0]
+        plain = plain.replace('std = "0.3 mm"', 'std = "0.5 mm"')  # its tolerance
         settings = "\n[settings]\nstarts = 1\n"
         goals = shown("docs/guide/design.md", "toml")
         (folder / "project.toml").write_text(plain + goals + settings)

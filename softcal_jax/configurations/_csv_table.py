@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES, check_known, check_unique, suggestion
+from softcal_jax._names import check_known, check_unique, suggestion
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import METRES
 
 _DELIMITERS = (",", ";", "\t", "|")
 """Known delimiters of columns; the most frequent one in the header is taken."""

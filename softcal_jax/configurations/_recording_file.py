@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES, check_known
+from softcal_jax._names import check_known
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import METRES
 from softcal_jax.configurations import _csv_table as csv_table
 from softcal_jax.configurations._csv_table import NumberedCells
 from softcal_jax.configurations._recording import Recording

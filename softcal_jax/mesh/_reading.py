@@ -11,8 +11,9 @@ import meshio
 import numpy as np
 
 from softcal_jax._limits import TETS
-from softcal_jax._names import METRES, check_known, unknown_name
+from softcal_jax._names import check_known, unknown_name
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import METRES
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._meshio import (
     MeshWarning,

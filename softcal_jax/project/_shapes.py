@@ -10,7 +10,7 @@ from pydantic import Field
 
 from softcal_jax import contact
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES
+from softcal_jax._units import METRES
 from softcal_jax.contact import AbstractShape
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit

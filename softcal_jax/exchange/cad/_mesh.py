@@ -27,9 +27,9 @@ from softcal_jax._limits import (
     Limit,
     LimitError,
 )
-from softcal_jax._names import METRES
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._units import METRES
 from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
 
 _STEP = (".step", ".stp")

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax import configurations
-from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import METRES
 from softcal_jax.configurations import MarkerTable
 from softcal_jax.exchange.proposal._body import Body, Held
 from softcal_jax.project import toml_value
