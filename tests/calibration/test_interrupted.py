@@ -85,7 +85,11 @@ def interrupted_in(part):
 def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
     """On one core, where poses are predicted one after the other."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    held_out = [replace(pose, name=f"{pose.name} again") for pose in measured()]
+    # Readings of their own: the same ones again would not be held out.
+    held_out = [
+        replace(pose, name=f"{pose.name} again", measured=pose.measured + [1e-5, 0, 0])
+        for pose in measured()
+    ]
 
     def interrupt(now):
         if now.configuration == held_out[1].name:
@@ -95,9 +99,9 @@ def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
     assert result.interrupted
     assert result.converged
     assert result.value("E") == pytest.approx(whole.value("E"), rel=1e-9)
-    first, _, again = result.configurations
+    *_, again = result.configurations
     assert (again.name, again.role) == ("hanging again", "validation")
-    assert again.rms_after == pytest.approx(first.rms_after, rel=1e-6)
+    assert again.rms_after == pytest.approx(1e-5, rel=0.01)
     assert np.isnan(again.rms_before)
     assert says(result.notes, "pushed again", "not predicted", "interrupted")
     assert not any("hanging again" in note for note in result.notes)

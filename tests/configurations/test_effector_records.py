@@ -93,7 +93,7 @@ def test_what_was_not_measured_has_no_value(lanes):
     tip, *_ = lanes.effectors[0]
     np.testing.assert_array_equal(tip.seen, [True, False, True])
     np.testing.assert_array_equal(tip.measured, [0.1, np.nan, 0.0])
-    np.testing.assert_array_equal(tip.error(np.full(3, 0.5)), [0.4, 0.0, 0.5])
+    np.testing.assert_array_equal(tip.error(np.full(3, 0.5)), [0.4, np.nan, 0.5])
     (pull,) = lanes.effectors[1]
     assert np.isnan(pull.measured).all()
     assert not pull.seen.any()

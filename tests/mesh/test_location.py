@@ -153,7 +153,7 @@ def test_no_points():
 def test_far_points_are_named():
     mesh = beam(*BOX, (2, 2, 2))
     points = [[0.05, 0.01, 0.01], [0.05, 0.01, 0.04], [0.05, 0.01, 0.05]]
-    message = "point 2 ... (50, 10, 50) mm ... 20 mm ... 5 mm ... point 1 ... unit"
+    message = "point 2 ... (50, 10, 50) mm ... 20 mm ... 5 mm ... point 1 ... frame"
     with pytest.raises(ValueError, match=saying(message)):
         locate(mesh, points, max_distance=0.005)
     with pytest.raises(ValueError, match=r"^c .* 5 mm\. .*do b\. "):

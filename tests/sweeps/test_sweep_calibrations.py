@@ -168,7 +168,7 @@ def check_show(swept, capsys, tmp_path):
     assert show("--by", "noisee") == 2
     assert says(capsys.readouterr().err, "'noisee' ... mean 'noise'")
     assert main(["sweep", "show", str(tmp_path / "no.sqlite")]) == 2
-    assert says(capsys.readouterr().err, "error: ", "no sweep", "no.sqlite")
+    assert says(capsys.readouterr().err, "error: ", "no.sqlite does not exist")
 
 
 def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
