@@ -77,9 +77,7 @@ def _is_file(keys: Keys) -> bool:
             return True
         case ("shared", "measured", *of) | (_, int(), "measured", *of):
             match of:
-                case ["file"] | ["effectors", _, "file"]:
-                    return True
-                case ["effectors", _, "photos" | "board", *_]:
+                case ["file"] | ["effectors", _, "file" | "photos" | "board", *_]:
                     return True
                 case ["effectors", _, "displacement_from", "photos", *_]:
                     return True
