@@ -13,9 +13,9 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_warnings", "_names"},
+    {"_warnings"},
     {
-        *("_compilation_cache", "_limits", "_places"),
+        *("_compilation_cache", "_limits", "_names", "_places"),
         *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_lanes", "_module"},
