@@ -5,7 +5,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal_jax._files import check_file
 from softcal_jax.cli import _shared as cli
 from softcal_jax.exchange.exporters import quantity
 
@@ -25,6 +24,8 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 
 
 def check(args: argparse.Namespace, show: cli.Display) -> None:
+    from softcal_jax._files import check_file
+
     with cli.bad_input():
         check_file(args.project, "project file")
     name = f"{args.project.stem}_check.{args.pictures}"
@@ -173,6 +174,7 @@ def mesh(args: argparse.Namespace, show: cli.Display) -> None:
 
 
 def _made(args: argparse.Namespace) -> "TetMesh":
+    from softcal_jax._files import check_file
     from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
     from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh

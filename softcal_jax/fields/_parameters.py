@@ -253,7 +253,7 @@ class Parameter(AbstractFieldEntry):
             return
         start, lower, upper = float(self.start), float(self.lower), float(self.upper)
         what = f"parameter {self.name!r}"
-        show = lambda value: readable(value, self.unit)
+        show = lambda v: f"{v:g}" if np.isnan(v) else readable(v, self.unit)
         finite = np.all(np.isfinite([start, lower, upper]))
         if not (finite and lower < upper and lower <= start <= upper):
             raise ValueError(

@@ -70,6 +70,7 @@ SIMULATED = "#000000"
 OUTLINE = "#8a8a8a"
 TEXT = "#1a1a1a"
 FAINT = "#6b6b6b"
+GOOD = "#1b7837"
 BAD = "#c00000"
 
 SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#444444")
