@@ -245,9 +245,10 @@ def test_a_project_without_goals(project, tmp_path, capsys):
 def test_files_are_found_from_the_folder_of_the_design():
     """A mesh file beside the project, and the photographs of a pose."""
     top = {"photos": ["a.jpg"], "board": "../b.jpg", "name": "file"}
-    raw = {"mesh": {"file": "finger.msh"}, "configurations": [{"measured": top}]}
+    measured = {"effectors": {"sensor": top}}
+    raw = {"mesh": {"file": "finger.msh"}, "configurations": [{"measured": measured}]}
     moved = _printed._moved(raw, Path(".."))
     assert moved["mesh"] == {"file": "../finger.msh"}
-    assert moved["configurations"] == [
-        {"measured": {"photos": ["../a.jpg"], "board": "../../b.jpg", "name": "file"}}
-    ]
+    there = {"photos": ["../a.jpg"], "board": "../../b.jpg", "name": "file"}
+    there = {"effectors": {"sensor": there}}
+    assert moved["configurations"] == [{"measured": there}]
