@@ -34,7 +34,8 @@ class LinearSolution(NamedTuple):
 MOST_REFINEMENTS = 5
 """Most refinements by the factors of another matrix before it factorizes anew."""
 
-REFINED = 1e-6  # relative residual at which a solution belongs to its matrix [-]
+REFINED = 1e-6
+"""Residual over its right-hand side at which a solution belongs to its matrix [-]."""
 
 
 class AbstractLinearSolver(Module):
@@ -105,28 +106,26 @@ class AbstractLinearSolver(Module):
         """Solve with the factors of the last `factor_solve`, of a matrix that is near.
 
         Iterative refinement (Higham, Accuracy and Stability of Numerical Algorithms,
-        2002, ch. 12) ends when the residual of one combination of all right-hand sides
-        is small. Otherwise the matrix is factorized, since another program may have
-        replaced the factors. Negative eigenvalues are only counted then.
+        2002, ch. 12) ends when the residual of every right-hand side is small.
+        Otherwise the matrix is factorized, since another program may have replaced the
+        factors. Negative eigenvalues are only counted then.
         """
         times = lambda x: product(self.sparsity, values, x)
         size = jnp.linalg.norm(rhs, axis=1)
-        mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
-        wanted = jnp.sum(mix * rhs, axis=0)
-        off = lambda x: jnp.linalg.norm(times(jnp.sum(mix * x, axis=0)) - wanted)
+        # One by one: in a sum of them, residuals may cancel.
+        near = lambda left: jnp.all(jnp.linalg.norm(left, axis=1) <= REFINED * size)
 
         def refine(carry):
-            x, _, count = carry
-            x = x + self.solve_again(values, rhs - jax.lax.map(times, x))
-            return x, off(x), count + 1
+            x, left, count = carry
+            x = x + self.solve_again(values, left)
+            return x, rhs - jax.lax.map(times, x), count + 1
 
-        x = self.solve_again(values, rhs)
-        begun = x, off(x), jnp.zeros((), jnp.int32)
-        go_on = lambda c: (c[1] > REFINED) & (c[2] < MOST_REFINEMENTS)
+        begun = refine((jnp.zeros_like(rhs), rhs, jnp.full((), -1, jnp.int32)))
+        go_on = lambda c: ~near(c[1]) & (c[2] < MOST_REFINEMENTS)
         x, left, _ = jax.lax.while_loop(go_on, refine, begun)
         refined = lambda: (x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
         anew = lambda: tuple(self.factor_solve(values, rhs))
-        return LinearSolution(*jax.lax.cond(left <= REFINED, refined, anew))
+        return LinearSolution(*jax.lax.cond(near(left), refined, anew))
 
 
 _Options = tuple[tuple[int, int], ...]
