@@ -170,13 +170,6 @@ def configuration_lanes(
     mechanism = mechanisms.build_mechanism(mesh) if mechanism is None else mechanism
     names = [c.name for c in configurations]
     check_unique("configuration", names)
-    by_key: dict[int, str] = {}
-    for name in [*names, *(c.recording for c in configurations if c.recording)]:
-        if by_key.setdefault(name_key(name), name) != name:
-            raise ValueError(
-                f"the names {by_key[name_key(name)]!r} and {name!r} of configurations "
-                "or recordings have the same CRC-32: rename one of them."
-            )
     supports = [support for c in configurations for support in c.supports]
     elastic = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
     # Those of all supports in every lane, so that lanes have one shape.

@@ -42,13 +42,13 @@ class EffectorRow(NamedTuple):
     name: str
     quantity: Quantity
     unit: str
-    measured: Float[HostArray, "3"] = np.full(3, np.nan)
-    inverse_std: Float[HostArray, "3"] = np.zeros(3)
+    measured: Float[HostArray, "3"] = np.broadcast_to(np.nan, 3)  # cannot be written
+    inverse_std: Float[HostArray, "3"] = np.broadcast_to(0.0, 3)
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
     slopes: Float[HostArray, "n 3"] = np.zeros((0, 3))
     body: int = 0
-    reference: Float[HostArray, "3 3"] = np.eye(3)
+    reference: Float[HostArray, "3 3"] = np.broadcast_to(np.eye(3), (3, 3))
     function: Callable[..., Any] | None = None
     n_values: int = 3
 

@@ -72,9 +72,8 @@ class HostPardiso(AbstractLinearSolver):
             jax.ShapeDtypeStruct((), bool),
         )
         s = self.sparsity
-        return jax.pure_callback(
-            _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
-        )
+        arrays = s.symmetric, s.indptr, s.indices, values, rhs
+        return jax.pure_callback(_on_host, results, *arrays, vmap_method="sequential")
 
 
 @cache

@@ -17,6 +17,7 @@ from softcal_jax.configurations import (
     build_mechanism,
     configuration_lanes,
 )
+from softcal_jax.configurations._effector import EffectorRow
 from softcal_jax.mesh import beam
 
 MESH = beam(0.1, 0.02, 0.02, (5, 1, 1))
@@ -108,3 +109,10 @@ def test_points_at_rest(lanes):
     assert np.isnan(at_rest["sensor", "turn"]).all()
     turn = lanes.effectors[0][3]
     np.testing.assert_allclose(turn.reference, TURNED.matrix)
+
+
+def test_defaults_of_a_row_are_not_written_into_all_rows():
+    row = EffectorRow("one", "scalar", "N")
+    for default in (row.measured, row.inverse_std, row.reference):
+        with pytest.raises(ValueError, match="read-only"):
+            default[...] = 1.0

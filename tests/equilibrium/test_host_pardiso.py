@@ -103,6 +103,17 @@ def test_another_set_of_right_hand_sides_takes_no_factorization(monkeypatch):
     assert phases == [12, 33, 33, 12, 33]
 
 
+def test_each_lane_of_a_batch_has_its_matrix():
+    model, _ = built((1, 1, 1))
+    sparsity = model.solver.sparsity
+    values = np.zeros((3, sparsity.nnz))
+    values[:, sparsity.diagonal] = np.array([[1.0], [2.0], [0.0]])
+    rhs = jnp.ones((2, sparsity.n_dof))
+    lanes = jax.vmap(lambda values: model.solver.factor_solve(values, rhs))(values)
+    np.testing.assert_array_equal(lanes.ok, [True, True, False])
+    np.testing.assert_allclose(lanes.x[:, 1, 5], [1.0, 0.5, 0.0], rtol=1e-15)
+
+
 def test_it_is_what_a_gpu_gets(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     model, _ = built((1, 1, 1), solver=None)

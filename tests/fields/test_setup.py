@@ -132,3 +132,17 @@ def test_bad_input():
             make()
         with pytest.raises(TypeError, match=r"unexpected .*'nominal'"):
             make(prior_std=0.05, nominal=1.0)
+
+
+def test_an_error_of_one_configuration_leaves_all_others():
+    """Also those of another batch, and names that have the same CRC-32."""
+    factor = load_factor(prior_std=None, each=["plumless"])
+    (unknown,) = factor.parameters
+    poses = [pose("plumless", 0.3), pose("buckeroo", 0.3)]
+    batches = [configuration_arrays(MODEL.mesh, [p], MODEL.mechanism) for p in poses]
+    values = {unknown.name: jnp.asarray(2.0)}
+    factors = [
+        float(factor.apply(MODEL, lane_of(batch), values)[1].loads.factor[0])
+        for batch in batches
+    ]
+    assert factors == [2.0, 1.0]
