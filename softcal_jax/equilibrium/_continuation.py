@@ -125,7 +125,6 @@ def continue_equilibrium(
     u, lambda_a = state.point.u, state.lambda_a
     # Without an equilibrium, no displacement may be mistaken for one.
     or_nan = lambda a: jnp.where(state.converged, a, jnp.nan)
-    unknown = jnp.full_like(state.residual.size, jnp.nan)
     solution = EquilibriumSolution(
         displacement=or_nan(u),
         multipliers=or_nan(lambda_a),
@@ -138,8 +137,8 @@ def continue_equilibrium(
         at_rounding=state.residual.at_rounding(settings.rtol),
         min_det_F=state.point.min_det_F,
         n_negative=state.n_negative,
-        approached=unknown,
-        along_path=unknown,
+        approached=or_nan(jnp.ones_like(state.residual.size)),
+        along_path=or_nan(jnp.ones_like(state.residual.size)),
     )
     return solution, Linearisation(
         posed=posed,

@@ -47,9 +47,9 @@ class EquilibriumSolution(Module):
             because the linear solver does not count them or the model is not
             conservative.
         approached: Largest share that was found of the ways from the nearest
-            equilibrium where none led to the end; nan if none was tried [-].
-        along_path: Share of the load that its path carries where it does not lead to
-            the end, see `LoadPath`; nan if none was followed [-].
+            equilibrium; 1 if converged, nan if none was tried [-].
+        along_path: Share of the load that its path carries, see `LoadPath`; 1 if
+            converged, nan if none was followed [-].
     """
 
     displacement: Float[Array, "*batch n_points 3"]
@@ -126,10 +126,13 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
 def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolution:
     carried = state.done & (state.load_ok >= 1.0)
     beyond = state.result == RESULTS.limit_point
+    # Without an equilibrium, no displacement may be mistaken for one. While it is
+    # sought, a nan would only stop programs that are searched for nan.
+    sought = ~state.done & (state.step < settings.max_steps)
+    or_nan = lambda value: jnp.where(carried | sought, value, jnp.nan)
     return EquilibriumSolution(
-        # Without an equilibrium, no displacement may be mistaken for one.
-        displacement=jnp.where(carried, state.point.u, jnp.nan),
-        multipliers=jnp.where(carried, state.lambda_a, jnp.nan),
+        displacement=or_nan(state.point.u),
+        multipliers=or_nan(state.lambda_a),
         result=state.result,
         steps=state.step,
         load_steps=state.load_steps,
@@ -139,8 +142,8 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
         at_rounding=carried & state.residual.at_rounding(settings.rtol),
         min_det_F=state.point.min_det_F,
         n_negative=jnp.where(beyond, state.limit, state.n_negative),
-        approached=jnp.full_like(state.load_ok, jnp.nan),
-        along_path=jnp.full_like(state.load_ok, jnp.nan),
+        approached=or_nan(jnp.ones_like(state.load_ok)),
+        along_path=or_nan(jnp.ones_like(state.load_ok)),
     )
 
 
@@ -219,15 +222,17 @@ def _equilibrium_jvp(primals, tangents):
         of = lambda leaf, d: (jnp.zeros_like(leaf) if d is None else d)[None]
         return jax.tree.map(of, value, slope)
 
-    lin = linearise(model, configuration, u, lambda_a, differentiable=True)
-    d = sensitivity(lin, input_rows(lin, along))
-    # Without an equilibrium there is no derivative either.
-    or_nan = lambda a: jnp.where(solution.converged, a[0], jnp.nan)
+    # Without an equilibrium there is no derivative either, and none that reaches what
+    # it shares with other lanes: at rest, all that a zero is multiplied with is finite.
+    safe = lambda a: jnp.where(solution.converged, a, 0.0)
+    or_nan = lambda a: safe(a) + jnp.where(solution.converged, 0.0, jnp.nan)
+    lin = linearise(model, configuration, safe(u), safe(lambda_a), differentiable=True)
+    d = sensitivity(lin, jax.tree.map(safe, input_rows(lin, along)))
     none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
         lambda s: (s.displacement, s.multipliers),
         none,
-        (or_nan(d.displacement), or_nan(d.multipliers)),
+        (or_nan(d.displacement[0]), or_nan(d.multipliers[0])),
         is_leaf=lambda leaf: leaf is None,
     )
 
