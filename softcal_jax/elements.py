@@ -158,8 +158,8 @@ def vector_length(v: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """Compute the determinant."""
+def determinant(F: Float[Array, "3 3 *many"]) -> Float[Array, "*many"]:
+    """Compute the determinant, also of many matrices along further axes."""
     (a, b, c), (d, e, f), (g, h, i) = map(jnp.unstack, jnp.unstack(F))
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 

@@ -336,6 +336,8 @@ def _lowest_gaps(contacts: Contacts, k: int, before, after) -> Float[Array, " n_
 class ContactState(Module):
     """What an obstacle feels in a state of the robot.
 
+    Area and sliding share count whole quadrature points, so their derivative is zero.
+
     Attributes:
         force: Force of the robot on it [N].
         moment: Its moment about the origin of the frame of the obstacle [N m].

@@ -1,5 +1,6 @@
 """Effector coordinates e of a state, in rows of three (paper Sec. II)."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -26,6 +27,23 @@ def effector_values(
 
     Rows are ordered as in `EffectorArrays`; for other arguments see `observed_state`.
     """
+    read = partial(_effector_values, model, configuration)
+    return where_known(read, u, multipliers, unbalanced)
+
+
+def where_known(read: Callable[..., Array], u: Nodal, *more: Array | None) -> Array:
+    """Read a state; nan where its u is nan, and without a derivative there.
+
+    At nan itself, the derivative of a lane that is masked would be nan times zero.
+    """
+    known = jnp.all(jnp.isfinite(u))
+    state = jax.tree.map(lambda leaf: jnp.where(known, leaf, 0.0), (u, *more))
+    return jnp.where(known, read(*state), jnp.nan)
+
+
+def _effector_values(
+    model: Model, configuration: ConfigurationArrays, u, multipliers, unbalanced
+) -> Float[Array, "n_rows 3"]:
     effectors = configuration.effectors
     points_and_turns = placed(model, effectors, u)
     if not effectors.observed:

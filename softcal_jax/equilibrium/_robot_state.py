@@ -1,6 +1,7 @@
 """States of bodies, actuators, supports and markers at equilibrium, for results."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -15,11 +16,12 @@ from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
+    EffectorArrays,
     SupportReaction,
     configuration_arrays,
 )
 from softcal_jax.contact import ContactState
-from softcal_jax.equilibrium._effectors import observed_state, placed
+from softcal_jax.equilibrium._effectors import observed_state, placed, where_known
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._solve import EquilibriumSolution
@@ -208,5 +210,10 @@ def marker_positions(
         ValueError: If the configuration is a batch, or of another model.
     """
     effectors = one_lane(model, configuration).effectors
-    n_points = effectors.nodes.shape[0]
-    return placed(model, effectors, solution.displacement)[:n_points]
+    return _points(model, effectors, solution.displacement)
+
+
+@eqx.filter_jit
+def _points(model: Model, effectors: EffectorArrays, u) -> Float[Array, "n 3"]:
+    rows = where_known(partial(placed, model, effectors), u)
+    return rows[: effectors.nodes.shape[0]]

@@ -1,6 +1,7 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import overload
 
 import equinox as eqx
@@ -18,15 +19,20 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
+from softcal_jax.equilibrium._assembly import smallest_det_F
 from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
 from softcal_jax.equilibrium._posed import Posed, one_lane
+from softcal_jax.equilibrium._without_derivative import without_derivative
 
 
 class EquilibriumSolution(Module):
     """Equilibrium of one configuration, or of a batch (leading axis on every field).
+
+    Displacement, multipliers and min_det_F have derivatives. Other numbers have none,
+    and say so where they are differentiated.
 
     Attributes:
         displacement: Displacement u of the nodes of the mesh, then of the four nodes
@@ -78,6 +84,9 @@ class EquilibriumSolution(Module):
         if good.ndim == 0:
             return f"{RESULTS[self.result]}; {how}"
         return f"{good.sum()} of {good.size} converged; at most {how}"
+
+
+_DIAGNOSTICS = "load_reached residual rounding approached along_path".split()
 
 
 def other_ways(solution: EquilibriumSolution) -> str:
@@ -228,11 +237,15 @@ def _equilibrium_jvp(primals, tangents):
     or_nan = lambda a: safe(a) + jnp.where(solution.converged, 0.0, jnp.nan)
     lin = linearise(model, configuration, safe(u), safe(lambda_a), differentiable=True)
     d = sensitivity(lin, jax.tree.map(safe, input_rows(lin, along)))
+    du = or_nan(d.displacement[0])
+    of_tets = (safe(u), model.nodes, model.shape_gradients)
+    along_tets = (du, None, t_model.shape_gradients)
+    _, d_det = eqx.filter_jvp(smallest_det_F, of_tets, along_tets)
     none = jax.tree.map(lambda _: None, solution)
     return solution, eqx.tree_at(
-        lambda s: (s.displacement, s.multipliers),
+        lambda s: (s.displacement, s.multipliers, s.min_det_F),
         none,
-        (or_nan(d.displacement[0]), or_nan(d.multipliers[0])),
+        (du, or_nan(d.multipliers[0]), d_det),
         is_leaf=lambda leaf: leaf is None,
     )
 
@@ -325,7 +338,10 @@ def solve_equilibrium(
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
     inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
     if any(map(is_traced, jax.tree.leaves(inside))):
-        return _compiled_equilibrium(model, bare, u0, settings)
+        solution = _compiled_equilibrium(model, bare, u0, settings)
+        by = solution.min_det_F
+        guarded = lambda name: without_derivative(getattr(solution, name), by, name)
+        return replace(solution, **{name: guarded(name) for name in _DIAGNOSTICS})
     numbers, most = settings.as_arrays(), jnp.asarray(settings.max_steps)
     state = begin_newton(model, numbers, bare, None if guess is None else u0)
     return continue_newton(model, numbers, most, bare, state)[1]

@@ -138,3 +138,58 @@ def test_scaling_of_loads_and_moduli(derivative):
     alone = derivative(START, tangent._replace(density=0.0 * START.density))
     assert jnp.max(jnp.abs(alone)) > 1e-3
     np.testing.assert_allclose(derivative(START, tangent), 0.0, atol=1e-10)
+
+
+HELD = LANES[0]  # of one program with what follows
+
+
+def solved(E):
+    model = eqx.tree_at(lambda m: m.law.elasticity.E, MODEL, E)
+    return solve_equilibrium(model, HELD, settings=TIGHT)
+
+
+E_START, E_TANGENT = START.E[0], jnp.asarray(0.3 * YOUNG, float)
+
+
+def test_the_smallest_det_F_has_a_derivative():
+    """Of second order against differences; of one tet, as long as none overtakes it."""
+    of = both_ways(lambda E: solved(E).min_det_F)
+    one = jnp.ones(())
+    _, forward, reverse = of(E_START, E_TANGENT, one)
+    values = lambda E: of(E, E_TANGENT, one).value
+    error = lambda h: abs(central_difference(values, E_START, E_TANGENT, h) - forward)
+    assert abs(forward) > 1e-4
+    np.testing.assert_allclose(error(3e-2) / error(1e-2), 9.0, rtol=0.05)
+    np.testing.assert_allclose(reverse * E_TANGENT, forward, rtol=1e-10)
+
+
+DIAGNOSTICS = "load_reached residual rounding approached along_path".split()
+
+
+@pytest.mark.parametrize("name", DIAGNOSTICS)
+def test_what_has_no_derivative_says_so(name):
+    number = lambda E: getattr(solved(E), name)
+    assert np.isnan(jax.jacfwd(number)(E_START))
+    with pytest.raises(ValueError, match=f"{name} has no derivative"):
+        jax.grad(number)(E_START)
+
+
+def test_a_compiled_derivative_that_is_none_says_so():
+    with pytest.raises(RuntimeError, match="residual has no derivative"):
+        eqx.filter_jit(jax.grad(lambda E: solved(E).residual))(E_START)
+
+
+def test_what_has_no_derivative_may_be_read_beside_what_has_one():
+    def tip(E):
+        solution = solved(E)
+        near = jnp.where(solution.residual < 1e-3, 2.0, 1.0)
+        return near * solution.displacement[OBSERVED[1], 2], solution
+
+    def chosen(E):
+        other = lambda s: s.displacement[OBSERVED[0], 2]
+        height = lambda s: 2.0 * s.displacement[OBSERVED[1], 2]
+        return jax.lax.cond(E > 0.0, height, other, solved(E))
+
+    slope, solution = jax.grad(tip, has_aux=True)(E_START)
+    assert float(solution.residual) < 1e-3
+    np.testing.assert_allclose(jax.grad(chosen)(E_START), slope, rtol=1e-12)

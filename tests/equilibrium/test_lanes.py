@@ -8,13 +8,21 @@ import pytest
 
 from softcal_jax import (
     Configuration,
+    Markers,
     NeoHookean,
     Support,
     beam,
     build_model,
     lanes,
+    marker_positions,
     set_field,
     solve_equilibrium,
+)
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    Workers,
+    continue_equilibrium,
+    equilibria,
 )
 from softcal_jax.mesh import MeshWarning
 
@@ -25,8 +33,9 @@ def model_of(cells):
 
 
 MODEL = model_of((2, 1, 1))
+TIP = Markers("tip", [(0.1, 0.01, 0.01)])
 POSES = [
-    Configuration(name, [Support("x_min")], (0.0, 0.0, g))
+    Configuration(name, [Support("x_min")], (0.0, 0.0, g), markers=TIP)
     for name, g in {"hang": -9.81, "up": 9.81, "crushed": 1e7}.items()
 ]
 BATCH = lanes(MODEL, POSES)
@@ -71,6 +80,44 @@ def test_a_solution_that_is_traced_has_a_text():
     shown = []
     jax.make_jaxpr(lambda lane: shown.append(repr(solve(lane))))(BATCH[0])
     assert shown[0].startswith("EquilibriumSolution, displacement")
+
+
+def squares(E, lane):
+    """Of what a lane reads and where its nodes are; 0 where it has no equilibrium."""
+    model = set_field(MODEL, "E", E)
+    found = solve_equilibrium(model, lane)
+    read = marker_positions(model, lane, found), found.displacement
+    squared = sum(jnp.sum(each**2) for each in read)
+    return jnp.where(found.converged, squared, 0.0)
+
+
+def test_a_lane_without_equilibrium_spoils_no_derivative_of_others():
+    E = jnp.asarray(1e5, float)
+    total = lambda E: jnp.sum(jax.vmap(squares, (None, 0))(E, BATCH))
+    reverse = jax.grad(total)(E)
+    np.testing.assert_allclose(reverse, jax.jacfwd(total)(E), rtol=1e-10)
+    alone = sum(jax.grad(squares)(E, BATCH[i]) for i in range(2))
+    np.testing.assert_allclose(reverse, alone, rtol=1e-10)
+
+
+def test_what_converges_is_not_taken_for_nan():
+    u = solve(BATCH[0]).displacement
+    with jax.debug_nans(True):
+        for found in (solve(BATCH[0]), jax.vmap(solve)(BATCH[:2])):
+            numbers = jax.tree.leaves(eqx.filter(found, eqx.is_inexact_array))
+            assert not any(np.isnan(leaf).any() for leaf in numbers)
+        step = continue_equilibrium(MODEL, BATCH[0], u, settings=NewtonSettings())
+        assert bool(step[0].converged)
+        assert np.isfinite(jax.grad(squares)(jnp.asarray(1e5, float), BATCH[0]))
+
+
+def test_an_equilibrium_on_the_way_to_a_report_is_not_taken_for_nan():
+    reports = []
+    with jax.debug_nans(True), Workers(MODEL, 1) as workers:
+        report = lambda *progress: reports.append(progress)
+        run = workers, MODEL, BATCH[:1], NewtonSettings()
+        assert bool(equilibria(*run, report=report).converged[0])
+    assert len(reports) > 1
 
 
 @pytest.mark.parametrize(
