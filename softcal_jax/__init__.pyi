@@ -34,6 +34,7 @@ from softcal_jax.equilibrium import (
     lanes as lanes,
     marker_positions as marker_positions,
     solve_equilibrium as solve_equilibrium,
+    with_points as with_points,
 )
 from softcal_jax.exchange.icesl import export_icesl as export_icesl
 from softcal_jax.exchange.inp import export_inp as export_inp

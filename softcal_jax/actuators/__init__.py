@@ -11,6 +11,7 @@ from softcal_jax.actuators._arrays import (
     actuator_displacements as actuator_displacements,
     actuator_geometry as actuator_geometry,
     actuator_rows as actuator_rows,
+    actuators_following as actuators_following,
     actuators_moving as actuators_moving,
     clique_nodes as clique_nodes,
     curvature_entries as curvature_entries,

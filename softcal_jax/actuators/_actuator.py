@@ -5,7 +5,7 @@ A cable segment, a face of a chamber, the frame of a motor: each is one clique.
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import numpy as np
@@ -58,6 +58,11 @@ class AbstractCliques(Module):
     @abstractmethod
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Collect what to draw of all cliques at the positions of all nodes [m]."""
+
+    def following(self, mesh: TetMesh, n_actuators: int) -> Self:
+        """Return the cliques on a mesh with other points; what it carries follows."""
+        del mesh, n_actuators
+        return self
 
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
         """Differentiate the force by the positions, node by node, for lambda_a = 1."""

@@ -136,6 +136,16 @@ def actuator_arrays(
     )
 
 
+def actuators_following(
+    arrays: ActuatorArrays, mesh: TetMesh, points: Float[Array, "n_all 3"]
+) -> ActuatorArrays:
+    """Return the actuators of a robot on other points at rest, differentiably [m]."""
+    n_actuators = len(arrays.names)
+    groups = tuple(group.following(mesh, n_actuators) for group in arrays.groups)
+    rest = _contributions(groups, points, n_actuators)
+    return eqx.tree_at(lambda a: (a.groups, a.rest), arrays, (groups, rest))
+
+
 def _contributions(
     groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
 ) -> Float[Array, " n_a"]:

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,7 +17,7 @@ from softcal_jax.actuators._actuator import (
     owned,
 )
 from softcal_jax.bodies import as_floats, three_numbers, unit_vector
-from softcal_jax.mesh import face_shares
+from softcal_jax.mesh import TetMesh, face_shares
 
 
 class ForceActuator(AbstractActuator):
@@ -73,17 +74,30 @@ class SurfaceForceActuator(AbstractActuator):
         shares = face_shares(rest.mesh, faces)
         weights = (shares / shares.sum())[..., None]
         parts = weights * unit_vector("direction", self.direction)
-        return (WeightedNodes(*owned(faces, owner, parts)),)
+        return (WeightedNodes(*owned(faces, owner, parts), by_area=True),)
 
 
 class WeightedNodes(AbstractPotentialCliques):
-    """Nodes of tets or faces whose positions, by `weights` [-], add up to delta_a."""
+    """Nodes of tets or faces whose positions, by `weights` [-], add up to delta_a.
+
+    Those `by_area` are the shares of faces in the area at rest of all of an actuator.
+    """
 
     weights: Float[Array, "*cliques m 3"]
+    by_area: bool = eqx.field(static=True, default=False)
     curved: ClassVar[bool] = False
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         return jnp.sum(self.weights * x)
+
+    def following(self, mesh: TetMesh, n_actuators: int) -> "WeightedNodes":
+        if not self.by_area:
+            return self
+        old, shares = jnp.sum(self.weights, axis=1), face_shares(mesh, self.nodes)
+        direction = old / jnp.linalg.norm(old, axis=1, keepdims=True)
+        total = jax.ops.segment_sum(jnp.sum(shares, axis=1), self.owner, n_actuators)
+        weights = (shares / total[self.owner][:, None])[..., None] * direction[:, None]
+        return eqx.tree_at(lambda nodes: nodes.weights, self, weights)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""

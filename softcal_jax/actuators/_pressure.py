@@ -6,6 +6,7 @@ opening to its mean.
 
 from collections import defaultdict
 from collections.abc import Iterable
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -271,6 +272,11 @@ class ChamberLids(AbstractPotentialCliques):
         mean = xp.sum(self.weights[..., None] * arm, axis=-2)
         return xp.sum(mean * xp.sum(turns, axis=-2), axis=-1) / 18.0
 
+    def following(self, mesh: TetMesh, n_actuators: int) -> "ChamberLids":
+        rims = jnp.asarray(mesh.points)[self.nodes]
+        weights = jax.vmap(partial(_shares, quadratic=self.quadratic))(rims)
+        return eqx.tree_at(lambda lids: lids.weights, self, weights)
+
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         return ActuatorGeometry()  # neither material nor faces
 
@@ -288,13 +294,14 @@ def free_rim_nodes(
     return len({node for rim in rims for node in rim.ravel() if not fixed[node].all()})
 
 
-def _shares(x: Float[HostArray, "m 3"], quadratic: bool) -> Float[HostArray, " m"]:
+def _shares(x: Float[AnyArray, "m 3"], quadratic: bool) -> Float[AnyArray, " m"]:
     """Integrate the shape functions along a ring of straight edges; they sum to 1."""
+    xp: Any = np if isinstance(x, np.ndarray) else jnp
     corners = x[:: 1 + quadratic]
-    after = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    both = after + np.roll(after, 1)
+    after = xp.linalg.norm(xp.roll(corners, -1, axis=0) - corners, axis=1)
+    both = after + xp.roll(after, 1)
     if quadratic:
-        shares = np.stack([both / 6.0, after / 1.5], axis=1).ravel()
+        shares = xp.stack([both / 6.0, after / 1.5], axis=1).ravel()
     else:
         shares = 0.5 * both
     return shares / after.sum()

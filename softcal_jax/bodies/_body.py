@@ -1,6 +1,7 @@
 """Poses and descriptions of rigid bodies, and their arrays for the solver."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -280,10 +281,30 @@ class BodyArrays(Module):
         return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
 
     @property
-    def frame_points(self) -> Float[HostArray, "n_frame_nodes 3"]:
+    def frame_points(self) -> Float[Array | HostArray, "n_frame_nodes 3"]:
         """The frame nodes at rest: origin and ends of the axes of each body [m]."""
+        xp: Any = np if isinstance(self.origin, np.ndarray) else jnp
         ends = self.origin[:, None] + self.length * self.axes
-        return np.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
+        return xp.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
+
+    def following(
+        self, old: Float[Array | HostArray, "n 3"], new: Float[Array, "n 3"]
+    ) -> "BodyArrays":
+        """Return the bodies on other points at rest, with frames that follow them [m].
+
+        A frame moves with the mean of the nodes of its body, and what is fixed on the
+        body with the frame. An obstacle without nodes stays.
+        """
+        body = jnp.asarray(self.body)
+        total = lambda rows: jax.ops.segment_sum(rows, body, self.n_bodies)
+        count = total(jnp.ones((len(body), 1)))
+        shift = total((new - old)[self.attached]) / jnp.maximum(count, 1.0)
+        origin, axes = self.origin + shift, jnp.asarray(self.axes)[body]
+        arms = (new[self.attached] - origin[body]) / self.length
+        local = jnp.sum(axes * arms[:, None], axis=2)
+        first = 1.0 - jnp.sum(local, axis=1, keepdims=True)
+        weights = jnp.concatenate([first, local], axis=1)
+        return eqx.tree_at(lambda b: (b.origin, b.weights), self, (origin, weights))
 
     def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
         """Return the weights on the frame nodes [-] for points fixed on a body [m]."""

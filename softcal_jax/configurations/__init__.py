@@ -53,6 +53,7 @@ from softcal_jax.configurations._markers import (
     register as register,
 )
 from softcal_jax.configurations._mechanism import (
+    OTHER_POINTS as OTHER_POINTS,
     ImposedDisplacement as ImposedDisplacement,
     ImposedForce as ImposedForce,
     Mechanism as Mechanism,

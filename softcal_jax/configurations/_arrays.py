@@ -162,11 +162,13 @@ class Springs(Module):
 class DeadLoads(Module):
     """Dead nodal forces [N] by the names of loads, and a factor on each [-].
 
-    The factor is 1 unless it is a parameter.
+    The factor is 1 unless it is a parameter. Those that are `spread` are shared out by
+    areas or lengths at rest.
     """
 
     force: Float[AnyArray, "*batch n_loads n_points 3"]
     factor: Float[AnyArray, "*batch n_loads"]
+    spread: Bool[AnyArray, "*batch n_loads"]
     names: tuple[str, ...] = eqx.field(static=True)
 
 
@@ -256,6 +258,12 @@ class ConfigurationArrays(Module):
         second = jnp.cross(g, first) / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
         R = rotation_matrix(tilt[0] * first + tilt[1] * second)
         return jnp.sum(R * g[None, :], axis=1)
+
+    @property
+    def is_spread(self) -> Bool[Array, ""]:
+        """Whether it has a load or an elastic support by areas or lengths at rest."""
+        elastic = jnp.any(jnp.asarray(self.springs.stiffness) > 0.0)
+        return elastic | jnp.any(jnp.asarray(self.loads.spread))
 
     @property
     def dead_loads(self) -> Float[Array, "n_points 3"]:

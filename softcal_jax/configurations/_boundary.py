@@ -1,6 +1,7 @@
 """How a body is held and pushed: supports, whether they are enough, and dead loads."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -185,6 +186,7 @@ class AbstractLoad(Module):
     """
 
     name: str = eqx.field(default=UNNAMED_LOADS, kw_only=True)
+    spread: ClassVar[bool] = False  # by areas or lengths at rest
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
@@ -246,6 +248,7 @@ class EdgeForce(AbstractLoad):
 
     where: str | Int[HostArray, " n"]
     force: tuple[float, float, float]
+    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
@@ -280,6 +283,7 @@ class SurfaceForce(AbstractLoad):
 
     where: str
     force: tuple[float, float, float]
+    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
@@ -297,6 +301,7 @@ class SurfaceTraction(AbstractLoad):
 
     where: str
     traction: tuple[float, float, float]
+    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))

@@ -5,12 +5,13 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray, Int, is_traced
 from softcal_jax.bodies import KINDS, BodyStateArrays, optional, three_numbers
 from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
@@ -167,7 +168,14 @@ def configuration_lanes(
     """
     if not configurations:
         raise ValueError("at least one configuration is needed, got none.")
+    if any(map(is_traced, jax.tree.leaves(mesh))):
+        raise ValueError(
+            f"configuration {configurations[0].name!r} cannot be put on a mesh that is "
+            "traced: make lanes(model, poses) outside of jit and autodiff, and solve "
+            "those. What the mesh carries follows its points."
+        )
     mechanism = mechanisms.build_mechanism(mesh) if mechanism is None else mechanism
+    mechanism.check_on(mesh)
     names = [c.name for c in configurations]
     check_unique("configuration", names)
     supports = [support for c in configurations for support in c.supports]
@@ -205,6 +213,7 @@ def _lane(
     bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
     actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(loads), len(mechanism.points), 3))
+    spread = np.array([any(l.spread for l in c.loads if l.name == n) for n in loads])
     for load in c.loads:
         force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
@@ -224,7 +233,7 @@ def _lane(
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
         springs=_stiffened(springs, mesh, c, all_nodes(rest)),
-        loads=DeadLoads(force, np.ones(len(force)), loads),
+        loads=DeadLoads(force, np.ones(len(force)), spread, loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
         bodies=bodies,

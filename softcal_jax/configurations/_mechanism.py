@@ -9,16 +9,23 @@ import numpy as np
 from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
 from softcal_jax._names import check_known
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray, is_traced
 from softcal_jax.actuators import (
     AbstractActuator,
     ActuatorArrays,
     actuator_arrays,
     actuator_displacements,
+    actuators_following,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
 from softcal_jax.contact import Contacts, Obstacle, Standing, build_contacts
 from softcal_jax.mesh import TetMesh
+
+OTHER_POINTS = (
+    "the points of the mesh are not those from which the model was made: its shape "
+    "gradients, volumes and mechanism are of others. with_points(model, points) sets "
+    "all of them."
+)
 
 
 class Mechanism(Module):
@@ -35,7 +42,7 @@ class Mechanism(Module):
             0 for other actuators.
     """
 
-    points: Float[HostArray, "n_points 3"]
+    points: Float[Array | HostArray, "n_points 3"]
     bodies: rigid.BodyArrays
     contacts: Contacts
     actuators: ActuatorArrays
@@ -44,6 +51,27 @@ class Mechanism(Module):
     @property
     def n_actuators(self) -> int:
         return len(self.actuators.names)
+
+    def following(self, mesh: TetMesh) -> "Mechanism":
+        """Return the mechanism of a mesh with other points, see `with_points`."""
+        n, points = mesh.n_nodes, jnp.asarray(mesh.points)
+        bodies = self.bodies.following(jnp.asarray(self.points)[:n], points)
+        points = jnp.concatenate([points, jnp.asarray(bodies.frame_points)])
+        return Mechanism(
+            points,
+            bodies,
+            self.contacts.following(mesh, points),
+            actuators_following(self.actuators, mesh, points),
+            self.motor_zero,
+        )
+
+    def check_on(self, mesh: TetMesh) -> None:
+        """Raise ValueError if the points of the mesh are others than those at rest."""
+        both = mesh.points, self.points[: mesh.n_nodes]
+        traced = [is_traced(points) for points in both]
+        if all(traced) or (not any(traced) and np.array_equal(*both)):
+            return
+        raise ValueError(OTHER_POINTS)
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
         """Compute displacements delta_a at positions x [m], as imposed and measured.

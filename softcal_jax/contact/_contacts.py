@@ -79,6 +79,12 @@ class Contacts(Module):
     def n_obstacles(self) -> int:
         return len(self.body)
 
+    def following(self, mesh: TetMesh, points: Float[Array, "n_points 3"]):
+        """Return the contacts of a mesh with other points; their scale stays [m]."""
+        areas, _ = face_areas(mesh, self.faces)
+        areas = jnp.where(jnp.asarray(self.areas) > 0.0, areas[None], 0.0)
+        return eqx.tree_at(lambda c: (c.areas, c.rest), self, (areas, points))
+
     def cliques(self) -> tuple[Int[HostArray, "n_faces _"], ...]:
         """List the nodes that each obstacle couples: those of a face and its frame."""
         spread = lambda nodes: np.broadcast_to(nodes, (len(self.faces), 4))

@@ -25,6 +25,7 @@ from softcal_jax.equilibrium._batch import (
 from softcal_jax.equilibrium._build_model import (
     build_model as build_model,
     model_for_law as model_for_law,
+    with_points as with_points,
 )
 from softcal_jax.equilibrium._continuation import (
     continue_equilibrium as continue_equilibrium,

@@ -42,6 +42,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
             f"displacements have the shape {u.shape}; expected ({model.n_points}, 3): "
             "nodes of the mesh, then those of the rigid bodies' frames."
         )
+    model.mechanism.check_on(model.mesh)
     law, shared = split_law(model.law)
     law = jax.tree.map(model.blocks, law)
     blocks = (model.shape_gradients, model.weights, law, model.active)

@@ -2,7 +2,8 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import replace
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._process import check_process
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.actuators import AbstractActuator, clique_nodes
 from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import Mechanism, build_mechanism
@@ -26,7 +27,14 @@ from softcal_jax.equilibrium._sparsity import (
     build_sparsity,
     destinations,
 )
-from softcal_jax.materials import UNREMARKABLE, AbstractLaw, fields_of_tets, with_arrays
+from softcal_jax.equilibrium._without_derivative import refuse_if
+from softcal_jax.materials import (
+    UNREMARKABLE,
+    AbstractLaw,
+    SofaCorotational,
+    fields_of_tets,
+    with_arrays,
+)
 from softcal_jax.mesh import MeshWarning, TetMesh, check_mesh
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
@@ -135,6 +143,62 @@ def model_for_law(model: Model, law: AbstractLaw) -> Model:
     )
 
 
+def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
+    """Return the same robot with its nodes at other places at rest, differentiably.
+
+    What the mesh carries follows: markers, guides, points of forces and loads keep
+    their nodes and weights, frames of rigid bodies move with the mean of the nodes, and
+    all that is fixed on them moves along. Weight, volumes of chambers, contact faces,
+    surface forces of actuators and weights of control points are those of the new
+    shape, as if the model were built of it. What stays: tets, groups, values of single
+    tets, guides on the ground, obstacles beside the robot, and the scale of contact.
+
+    Lanes may be those of the model before, since they hold weights, not places. Three
+    things in them are of the points on which they were made: loads by area or length
+    and elastic supports, which raise if the points are traced, weights of markers with
+    a `base_radius`, and measured values.
+
+    Args:
+        model: The model.
+        points: Positions of the nodes of the mesh at rest, traced or not [m].
+
+    Raises:
+        ValueError: If the shape is not that of the mesh, a tet is inverted, or the law
+            holds edges of the mesh (`SofaCorotational`).
+    """
+    if np.shape(points) != np.shape(model.mesh.points):
+        raise ValueError(
+            f"points have the shape {np.shape(points)}; expected that of the nodes of "
+            f"the mesh, {np.shape(model.mesh.points)} [m]."
+        )
+    if isinstance(model.law, SofaCorotational):
+        raise ValueError(
+            "SofaCorotational holds matrices of the edges of its mesh, which do not "
+            "follow: build the model anew, with SofaCorotational.of_mesh."
+        )
+    set_points = lambda points: eqx.tree_at(lambda m: m.points, model.mesh, points)
+    mesh = set_points(jnp.asarray(points, float))
+    mechanism = model.mechanism.following(mesh)
+    if not (moved := is_traced(mechanism.points)):
+        check_mesh(set_points(np.asarray(points, float)), linked=_linked(mechanism))
+    dN, w, node_volumes = _of_points(mesh)
+    w = refuse_if(w, jnp.any(w <= 0.0), "the new points turn a tet inside out.")
+    new = replace(
+        model,
+        # Of one array, so that `check_on` finds both traced or neither.
+        mesh=set_points(mechanism.points[: mesh.n_nodes]),
+        mechanism=mechanism,
+        shape_gradients=dN,
+        weights=w,
+        node_volumes=node_volumes,
+        moved=model.moved or moved,
+    )
+    on_host = lambda old, leaf: isinstance(old, np.ndarray) and not is_traced(leaf)
+    pick = lambda old, leaf: np.asarray(leaf) if on_host(old, leaf) else leaf
+    leaves = map(pick, jax.tree.leaves(model), jax.tree.leaves(new))
+    return jax.tree.unflatten(jax.tree.structure(new), leaves)
+
+
 def _prepared(
     mesh: TetMesh,
     law: AbstractLaw,
@@ -144,13 +208,9 @@ def _prepared(
     formulation: Formulation,
     solver: type[AbstractLinearSolver],
 ) -> Model:
-    n_tets, n_en = mesh.tets.shape
+    n_tets = mesh.n_tets
     check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)
-    # Put on the device rather than converted there, which compiles for each shape.
-    cut = lambda per_tet: np.asarray(to_blocks(per_tet, n_tets, n_blocks, BLOCK))
-    blocked = lambda per_tet: jax.device_put(np.moveaxis(cut(per_tet), 1, -1))
-    dN, w = _shape_gradients_at(mesh, degree=1 if n_en == 4 else 2)
     conservative = law.conservative and mechanism.actuators.symmetric
     rigid = _within_one_body(mesh, mechanism)
     active = np.arange(n_blocks * BLOCK) < n_tets
@@ -163,20 +223,18 @@ def _prepared(
         deforming = (mesh.tets[~rigid], *curved, *touching)
         reduction = build_reduction(pattern, deforming, mechanism.bodies)
         unknowns = reduction.reduced
-    rule = tet_rule(2 if n_en == 4 else 4)
-    _, w_load = _shape_gradients_at(mesh, degree=2 if n_en == 4 else 4)
-    node_volumes = w_load @ shape_functions(rule.barycentric, n_en)
+    dN, w, node_volumes = _of_points(mesh)
     model = Model(
         mesh=mesh,
         law=law,
         density=density,
         mechanism=mechanism,
-        shape_gradients=blocked(dN),
-        weights=blocked(w),
+        shape_gradients=dN,
+        weights=w,
         active=jax.device_put(active.reshape(n_blocks, BLOCK).astype(float)),
-        nodes=blocked(mesh.tets.astype(np.int32)),
-        destination=blocked(destinations(pattern, mesh.tets).T),
-        node_volumes=jax.device_put(node_volumes),
+        nodes=_blocked(mesh.tets.astype(np.int32)),
+        destination=_blocked(destinations(pattern, mesh.tets).T),
+        node_volumes=node_volumes,
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         contact_at=tuple(destinations(pattern, nodes) for nodes in touching),
@@ -249,10 +307,29 @@ def _formulation(
     )
 
 
-def _shape_gradients_at(mesh: TetMesh, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def _blocked(per_tet: Any) -> Array:
+    xp: Any = np if isinstance(per_tet, np.ndarray) else jnp
+    n_blocks = -(-len(per_tet) // BLOCK)
+    cut = to_blocks(per_tet, len(per_tet), n_blocks, BLOCK)
+    # Put on the device rather than converted there, which compiles for each shape.
+    return jax.device_put(xp.moveaxis(cut, 1, -1))
+
+
+def _of_points(mesh: TetMesh) -> tuple[Array, Array, Array]:
+    """Compute shape gradients and weights, in blocks, and the volumes of nodes."""
+    linear, n_en = mesh.order == 1, mesh.tets.shape[1]
+    dN, w = _shape_gradients_at(mesh, degree=1 if linear else 2)
+    degree = 2 if linear else 4
+    N = shape_functions(tet_rule(degree).barycentric, n_en)
+    _, w_load = _shape_gradients_at(mesh, degree)
+    return _blocked(dN), _blocked(w), jax.device_put(w_load @ N)
+
+
+def _shape_gradients_at(mesh: TetMesh, degree: int) -> tuple[Any, Any]:
     """Compute shape gradients dN_a/dX_J and weights, volume included."""
+    xp: Any = np if isinstance(mesh.points, np.ndarray) else jnp
     rule = tet_rule(degree)
     reference = shape_gradients(rule.barycentric, mesh.tets.shape[1])
-    jacobian = np.einsum("eai,qaj->eqij", mesh.points[mesh.tets], reference)
-    dN = np.einsum("qaj,eqji->eqai", reference, np.linalg.inv(jacobian))
-    return dN, np.linalg.det(jacobian) / 6.0 * rule.weights
+    jacobian = xp.einsum("eai,qaj->eqij", mesh.points[mesh.tets], reference)
+    dN = xp.einsum("qaj,eqji->eqai", reference, xp.linalg.inv(jacobian))
+    return dN, xp.linalg.det(jacobian) / 6.0 * rule.weights

@@ -37,6 +37,7 @@ class Model(Module):
         contact_at: Positions in the pattern of the tangents of contact.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
+        moved: Whether its points are traced ones, see `with_points`.
     """
 
     mesh: TetMesh
@@ -55,6 +56,7 @@ class Model(Module):
     reduction: Reduction | None
     solver: AbstractLinearSolver
     formulation: Formulation = eqx.field(static=True)
+    moved: bool = eqx.field(static=True, default=False)
 
     def _words(self) -> str:
         bodies, actuators = self.mechanism.bodies, self.mechanism.actuators

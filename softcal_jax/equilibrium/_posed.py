@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, is_traced
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.actuators import actuators_moving
 from softcal_jax.bodies import (
     KINDS,
@@ -45,9 +45,17 @@ from softcal_jax.contact import (
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._sparsity import element_entries, reduce_values
+from softcal_jax.equilibrium._without_derivative import refuse_if
 
 _UNMOVED = 1e-12
 """Distance of a held body from its place that is rounding, per frame length [-]."""
+
+
+_SPREAD = (
+    "elastic supports, and loads by area or length, are shared out to the nodes where "
+    "lanes are made, and do not follow the points of with_points: take NodalForces, or "
+    "points that are not traced, and make the lanes of the model that has them."
+)
 
 
 def _body_states(
@@ -127,6 +135,8 @@ class Posed(NamedTuple):
         """Pose a model at full load; friction opposes the configuration's motion."""
         weight = gravity_load(model, configuration.acceleration)
         f_ext = configuration.dead_loads + weight
+        if model.moved:
+            f_ext = refuse_if(f_ext, configuration.is_spread, _SPREAD)
         if any(model.mechanism.actuators.has_friction):
             actuators = actuators_moving(
                 model.mechanism.actuators, configuration.actuation.releasing
@@ -406,12 +416,8 @@ class Posed(NamedTuple):
 
 def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
     """Return the arrays of one configuration of this model, or raise ValueError."""
+    model.mechanism.check_on(model.mesh)
     if isinstance(configuration, Configuration):
-        if any(map(is_traced, jax.tree.leaves(model.mesh))):
-            raise ValueError(
-                f"configuration {configuration.name!r} cannot be put on a mesh that is "
-                "traced: make lanes(model, poses) outside of jit, and solve its lanes."
-            )
         of_mesh = model.mesh, [configuration], model.mechanism
         return configuration_arrays(*of_mesh)[0]
     if not isinstance(configuration, ConfigurationArrays):

@@ -15,6 +15,7 @@ from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int, is_traced
 from softcal_jax.configurations import (
+    OTHER_POINTS,
     Configuration,
     ConfigurationArrays,
     configuration_arrays,
@@ -222,6 +223,8 @@ def _equilibrium_jvp(primals, tangents):
     """
     model, configuration, u0, settings = primals
     t_model, t_configuration, _, _ = tangents
+    if t_model.mesh.points is not None and t_model.mechanism.points is None:
+        raise ValueError(OTHER_POINTS)
     solution = _equilibrium(model, configuration, u0, settings)
     u, lambda_a = solution.displacement, solution.multipliers
 

@@ -9,7 +9,14 @@ import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._typing import Array, Bool, Float, is_traced
+
+
+def refuse_if(value: Array, wrong: Bool[Array, "..."], why: str) -> Array:
+    """Return the value; raise a ValueError if `wrong`, or when a program finds it."""
+    if not is_traced(wrong) and np.any(wrong):
+        raise ValueError(why)
+    return eqx.error_if(value, wrong, why)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -35,9 +42,7 @@ def _refuse(cotangent, _, *, name):
         f"{name} has no derivative: it tells how a computation went, or counts. Leave "
         "it out of what is differentiated, or take jax.lax.stop_gradient of it."
     )
-    if not is_traced(cotangent) and np.any(cotangent != 0.0):
-        raise ValueError(why)
-    return [eqx.error_if(jnp.zeros_like(cotangent), cotangent != 0.0, why)]
+    return [refuse_if(jnp.zeros_like(cotangent), cotangent != 0.0, why)]
 
 
 # Linear, and transposed only where the value counts.

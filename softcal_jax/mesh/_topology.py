@@ -5,12 +5,13 @@ not return the weights by which they follow the nodes.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.sparse import csr_array
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.elements import (
     TET_EDGES,
     TET_FACES,
@@ -142,19 +143,23 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
 
 
 def face_areas(
-    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
-) -> tuple[Float[HostArray, "n_faces n_qp"], Float[HostArray, "n_qp n_fn"]]:
-    """Return areas of quadrature points of faces at rest [m2], and shape functions."""
+    mesh: TetMesh, faces: Int[Array | HostArray, "n_faces n_fn"]
+) -> tuple[Any, Float[HostArray, "n_qp n_fn"]]:
+    """Return areas of quadrature points of faces at rest [m2], and shape functions.
+
+    Differentiable where the points are an array of JAX.
+    """
     rule, n_fn = triangle_rule(4), faces.shape[1]
+    xp: Any = np if isinstance(mesh.points, np.ndarray) else jnp
     dN = shape_gradients(rule.barycentric, n_fn)
-    tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
-    area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
+    tangents = xp.einsum("fai,qaj->fqji", mesh.points[faces], dN)
+    area = 0.5 * xp.linalg.norm(xp.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
     return area * rule.weights, shape_functions(rule.barycentric, n_fn)
 
 
 def face_shares(
-    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
-) -> Float[HostArray, "n_faces n_fn"]:
+    mesh: TetMesh, faces: Int[Array | HostArray, "n_faces n_fn"]
+) -> Float[Array | HostArray, "n_faces n_fn"]:
     """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
     area, N = face_areas(mesh, faces)
     return area @ N
