@@ -17,7 +17,7 @@ class RESULTS(eqx.Enumeration):
         "a limit point: the largest load that the body or its law bears, such as the "
         "largest pressure of a chamber; no stable equilibrium follows at a higher one. "
         "Check modulus, wall and units, reduce the load, or trace the branch with "
-        "solve_equilibrium(..., path=LoadPath())"
+        "trace_equilibria"
     )
     states_used_up = (
         "the path along the load needs more states to reach the full load; raise "

@@ -5,7 +5,7 @@ A cable segment, a face of a chamber, the frame of a motor: each is one clique.
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -59,7 +59,7 @@ class AbstractCliques(Module):
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Collect what to draw of all cliques at the positions of all nodes [m]."""
 
-    def following(self, mesh: TetMesh, n_actuators: int) -> Self:
+    def following(self, mesh: TetMesh, n_actuators: int) -> "AbstractCliques":
         """Return the cliques on a mesh with other points; what it carries follows."""
         del mesh, n_actuators
         return self

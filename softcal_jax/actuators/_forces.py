@@ -72,7 +72,7 @@ class SurfaceForceActuator(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
-        weights = (shares / shares.sum())[..., None]
+        weights = np.asarray(shares / shares.sum())[..., None]
         parts = weights * unit_vector("direction", self.direction)
         return (WeightedNodes(*owned(faces, owner, parts), by_area=True),)
 
@@ -84,7 +84,7 @@ class WeightedNodes(AbstractPotentialCliques):
     """
 
     weights: Float[Array, "*cliques m 3"]
-    by_area: bool = eqx.field(static=True, default=False)
+    by_area: bool = eqx.field(static=True, default=False, kw_only=True)
     curved: ClassVar[bool] = False
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:

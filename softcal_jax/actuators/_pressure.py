@@ -59,10 +59,12 @@ class Chamber(AbstractActuator):
         centre = np.mean(rest.points[np.unique(faces)], axis=0, keepdims=True)
         wall = ChamberFaces(*owned(faces, owner, centre.repeat(len(faces), axis=0)))
         quadratic = rest.mesh.order == 2
-        shares = [_shares(rest.points[rim], quadratic)[None] for rim in openings]
+        share = lambda rim: np.asarray(_shares(rest.points[rim], quadratic))[None]
         lids = [
-            ChamberLids(*owned(rim[None], owner, share, centre), quadratic=quadratic)
-            for rim, share in zip(openings, shares, strict=True)
+            ChamberLids(
+                *owned(rim[None], owner, share(rim), centre), quadratic=quadratic
+            )
+            for rim in openings
         ]
         volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:

@@ -281,11 +281,10 @@ class BodyArrays(Module):
         return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
 
     @property
-    def frame_points(self) -> Float[Array | HostArray, "n_frame_nodes 3"]:
+    def frame_points(self) -> Float[HostArray, "n_frame_nodes 3"]:
         """The frame nodes at rest: origin and ends of the axes of each body [m]."""
-        xp: Any = np if isinstance(self.origin, np.ndarray) else jnp
         ends = self.origin[:, None] + self.length * self.axes
-        return xp.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
+        return np.concatenate([self.origin[:, None], ends], axis=1).reshape(-1, 3)
 
     def following(
         self, old: Float[Array | HostArray, "n 3"], new: Float[Array, "n 3"]
@@ -295,15 +294,12 @@ class BodyArrays(Module):
         A frame moves with the mean of the nodes of its body, and what is fixed on the
         body with the frame. An obstacle without nodes stays.
         """
-        body = jnp.asarray(self.body)
+        body, nodes = jnp.asarray(self.body), jnp.asarray(self.attached)
         total = lambda rows: jax.ops.segment_sum(rows, body, self.n_bodies)
-        count = total(jnp.ones((len(body), 1)))
-        shift = total((new - old)[self.attached]) / jnp.maximum(count, 1.0)
-        origin, axes = self.origin + shift, jnp.asarray(self.axes)[body]
-        arms = (new[self.attached] - origin[body]) / self.length
-        local = jnp.sum(axes * arms[:, None], axis=2)
-        first = 1.0 - jnp.sum(local, axis=1, keepdims=True)
-        weights = jnp.concatenate([first, local], axis=1)
+        count = jnp.maximum(total(jnp.ones((len(body), 1))), 1.0)
+        origin = self.origin + total((new - old)[nodes]) / count
+        axes, affine = jnp.asarray(self.axes)[body], jax.vmap(_affine, (0, 0, None, 0))
+        weights = affine(origin[body], axes, self.length, new[nodes])
         return eqx.tree_at(lambda b: (b.origin, b.weights), self, (origin, weights))
 
     def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
@@ -312,8 +308,9 @@ class BodyArrays(Module):
 
 
 def _affine(origin, axes, length, points):
-    local = (np.asarray(points) - origin) @ axes.T / length
-    return np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
+    xp: Any = jnp if isinstance(points, Array) else np
+    local = (xp.asarray(points) - origin) @ axes.T / length
+    return xp.concatenate([1.0 - local.sum(axis=-1, keepdims=True), local], axis=-1)
 
 
 def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:

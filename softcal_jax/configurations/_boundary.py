@@ -1,7 +1,6 @@
 """How a body is held and pushed: supports, whether they are enough, and dead loads."""
 
 from abc import abstractmethod
-from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -186,7 +185,6 @@ class AbstractLoad(Module):
     """
 
     name: str = eqx.field(default=UNNAMED_LOADS, kw_only=True)
-    spread: ClassVar[bool] = False  # by areas or lengths at rest
 
     @abstractmethod
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
@@ -248,7 +246,6 @@ class EdgeForce(AbstractLoad):
 
     where: str | Int[HostArray, " n"]
     force: tuple[float, float, float]
-    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
@@ -283,7 +280,6 @@ class SurfaceForce(AbstractLoad):
 
     where: str
     force: tuple[float, float, float]
-    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
@@ -301,7 +297,6 @@ class SurfaceTraction(AbstractLoad):
 
     where: str
     traction: tuple[float, float, float]
-    spread: ClassVar[bool] = True
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))

@@ -22,6 +22,8 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._boundary import (
     AbstractLoad,
+    NodalForces,
+    PointForce,
     Support,
     check_apart,
     check_held,
@@ -187,10 +189,11 @@ def configuration_lanes(
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     every = zip(configurations, rows, stack_effectors(rows), strict=True)
+    points = np.asarray(mechanism.points)
     for c, of_c, (effectors, indices) in every:
         lanes.append(_lane(mesh, mechanism, c, effectors, springs=springs, loads=loads))
         numbered = zip(of_c, indices, strict=True)
-        described = (effector_record(*both, mechanism.points) for both in numbered)
+        described = (effector_record(*both, points) for both in numbered)
         records.append(tuple(described))
     return ConfigurationLanes(stacked(lanes), tuple(records))
 
@@ -213,7 +216,8 @@ def _lane(
     bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
     actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(loads), len(mechanism.points), 3))
-    spread = np.array([any(l.spread for l in c.loads if l.name == n) for n in loads])
+    by_node = NodalForces | PointForce
+    shared_out = [load.name for load in c.loads if not isinstance(load, by_node)]
     for load in c.loads:
         force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
@@ -233,7 +237,7 @@ def _lane(
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
         springs=_stiffened(springs, mesh, c, all_nodes(rest)),
-        loads=DeadLoads(force, np.ones(len(force)), spread, loads),
+        loads=DeadLoads(force, np.ones(len(force)), np.isin(loads, shared_out), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
         bodies=bodies,

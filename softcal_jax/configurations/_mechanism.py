@@ -56,7 +56,8 @@ class Mechanism(Module):
         """Return the mechanism of a mesh with other points, see `with_points`."""
         n, points = mesh.n_nodes, jnp.asarray(mesh.points)
         bodies = self.bodies.following(jnp.asarray(self.points)[:n], points)
-        points = jnp.concatenate([points, jnp.asarray(bodies.frame_points)])
+        shifts = jnp.repeat(bodies.origin - self.bodies.origin, 4, axis=0)
+        points = jnp.concatenate([points, self.points[n:] + shifts])
         return Mechanism(
             points,
             bodies,

@@ -61,6 +61,7 @@ from softcal_jax.equilibrium._omissions import (
 from softcal_jax.equilibrium._path import (
     EquilibriumPath as EquilibriumPath,
     LoadPath as LoadPath,
+    trace_equilibria as trace_equilibria,
 )
 from softcal_jax.equilibrium._posed import one_lane as one_lane
 from softcal_jax.equilibrium._robot_state import (

@@ -23,7 +23,7 @@ from softcal_jax.equilibrium._approach import (
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
-from softcal_jax.equilibrium._path import LoadPath, trace
+from softcal_jax.equilibrium._path import trace_equilibria
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     begin_newton,
@@ -112,9 +112,9 @@ def equilibria(
     default it begins at rest. Where that does not lead to the full load in one step,
     `approach` leads there from the nearest equilibrium: of another configuration, of
     one that is `known`, or rest; straight, or by `detours`. If that fails there are
-    load steps from rest and, with `arc_length`, the path along the load (see
-    `LoadPath`). With rigid bodies each begins at the nearest equilibrium, because poses
-    of a robot lie near each other and far from its state before mounting.
+    load steps from rest and, with `arc_length`, `trace_equilibria`. With rigid bodies
+    each begins at the nearest equilibrium, because poses of a robot lie near each other
+    and far from its state before mounting.
 
     `report` is called after every few iterations of a configuration, from its thread;
     `ended` with the index and solution of each that has ended.
@@ -200,7 +200,9 @@ class _Lanes:
         configurations = list(configurations)
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
-        self._to_trace = lambda c: (model, configurations[c], LoadPath(), settings)
+        self._trace = lambda c: trace_equilibria(
+            model, configurations[c], settings=newton, check=workers.check
+        )
         self._most, self._say = int(newton.max_steps), report or (lambda *_: None)
         steps = jnp.asarray(self._most if report is None else STEPS_BETWEEN)
         # It ends where the first step fails, in place of going back to rest.
@@ -272,7 +274,7 @@ class _Lanes:
 
     def along_path(self, c: int, failed: EquilibriumSolution) -> EquilibriumSolution:
         """Follow the path of a lane along its load, and solve it from the end."""
-        path = trace(*self._to_trace(c), check=self.workers.check)
+        path = self._trace(c)
         share = min(float(np.max(path.load)), 1.0)
         if share == 1.0:
             end = self.solve(c, jnp.asarray(path.displacement[-1]))

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -146,21 +147,20 @@ def model_for_law(model: Model, law: AbstractLaw) -> Model:
 def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
     """Return the same robot with its nodes at other places at rest, differentiably.
 
-    What the mesh carries follows: markers, guides, points of forces and loads keep
-    their nodes and weights, frames of rigid bodies move with the mean of the nodes, and
-    all that is fixed on them moves along. Weight, volumes of chambers, contact faces,
-    surface forces of actuators and weights of control points are those of the new
-    shape, as if the model were built of it. What stays: tets, groups, values of single
-    tets, guides on the ground, obstacles beside the robot, and the scale of contact.
+    What the mesh carries follows, as if the model were built of it: markers, guides and
+    point forces keep their nodes and weights, frames of rigid bodies move with the mean
+    of the nodes and carry what is fixed on them; weight, chambers, contact faces, areas
+    under actuators and weights of control points are those of the new shape. Tets,
+    groups, values of single tets, guides on the ground, obstacles without nodes and the
+    scale of contact stay.
 
-    Lanes may be those of the model before, since they hold weights, not places. Three
-    things in them are of the points on which they were made: loads by area or length
-    and elastic supports, which raise if the points are traced, weights of markers with
-    a `base_radius`, and measured values.
+    Lanes of the model before serve: they hold weights. Only measured values, weights of
+    markers with a `base_radius`, loads by area or length and elastic supports are of
+    the points on which lanes were made; the last two raise where points are traced.
 
     Args:
         model: The model.
-        points: Positions of the nodes of the mesh at rest, traced or not [m].
+        points: Positions of the nodes of the mesh at rest [m].
 
     Raises:
         ValueError: If the shape is not that of the mesh, a tet is inverted, or the law
@@ -176,27 +176,24 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
             "SofaCorotational holds matrices of the edges of its mesh, which do not "
             "follow: build the model anew, with SofaCorotational.of_mesh."
         )
-    set_points = lambda points: eqx.tree_at(lambda m: m.points, model.mesh, points)
-    mesh = set_points(jnp.asarray(points, float))
-    mechanism = model.mechanism.following(mesh)
-    if not (moved := is_traced(mechanism.points)):
-        check_mesh(set_points(np.asarray(points, float)), linked=_linked(mechanism))
+    set_points = partial(eqx.tree_at, lambda mesh: mesh.points, model.mesh)
+    mechanism = model.mechanism.following(set_points(jnp.asarray(points, float)))
+    # Of one array, so that `check_on` finds both traced or neither.
+    mesh = set_points(mechanism.points[: len(model.mesh.points)])
     dN, w, node_volumes = _of_points(mesh)
     w = refuse_if(w, jnp.any(w <= 0.0), "the new points turn a tet inside out.")
     new = replace(
         model,
-        # Of one array, so that `check_on` finds both traced or neither.
-        mesh=set_points(mechanism.points[: mesh.n_nodes]),
+        mesh=mesh,
         mechanism=mechanism,
         shape_gradients=dN,
         weights=w,
         node_volumes=node_volumes,
-        moved=model.moved or moved,
     )
-    on_host = lambda old, leaf: isinstance(old, np.ndarray) and not is_traced(leaf)
-    pick = lambda old, leaf: np.asarray(leaf) if on_host(old, leaf) else leaf
-    leaves = map(pick, jax.tree.leaves(model), jax.tree.leaves(new))
-    return jax.tree.unflatten(jax.tree.structure(new), leaves)
+    known = lambda old, leaf: isinstance(old, np.ndarray) and not is_traced(leaf)
+    on_host = lambda old, leaf: np.asarray(leaf) if known(old, leaf) else leaf
+    new = jax.tree.map(on_host, model, new)
+    return replace(new, moved=model.moved or is_traced(w))
 
 
 def _prepared(
@@ -332,4 +329,4 @@ def _shape_gradients_at(mesh: TetMesh, degree: int) -> tuple[Any, Any]:
     reference = shape_gradients(rule.barycentric, mesh.tets.shape[1])
     jacobian = xp.einsum("eai,qaj->eqij", mesh.points[mesh.tets], reference)
     dN = xp.einsum("qaj,eqji->eqai", reference, xp.linalg.inv(jacobian))
-    return dN, xp.linalg.det(jacobian) / 6.0 * rule.weights
+    return dN, xp.linalg.det(jacobian) / 6.0 * rule.weights[None]

@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium._assembly import mixed_tangent, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
@@ -41,7 +42,7 @@ from softcal_jax.equilibrium._direction import dilatation
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
-from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._sparsity import product
 
 MOST_ITERATIONS = 12  # corrections after which a step is halved
@@ -280,22 +281,30 @@ def _begin(
     return state._replace(weight=jnp.where(moved > 0.0, 1.0 / moved, 1.0))
 
 
-def trace(
+def trace_equilibria(
     model: Model,
-    configuration: ConfigurationArrays,
-    path: LoadPath,
-    settings: NewtonSettings,
+    configuration: Configuration | ConfigurationArrays,
+    path: LoadPath | None = None,
+    *,
+    settings: NewtonSettings | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> EquilibriumPath:
-    """Trace the equilibria of a configuration from rest along its load.
+    """Trace all states from rest along the load, also where a body balloons or buckles.
 
-    `check` is called before each state, and may raise to end it. Not under `jit`: how
-    many states a path has is only known while it is followed.
+    `check` is called before each state, and may raise to end it; other arguments are
+    those of `solve_equilibrium`.
+
+    Raises:
+        ValueError: If it is under `jit`, `vmap` or autodiff: how many states a path has
+            is only known while it is followed.
     """
+    check_process()
+    configuration, path = one_lane(model, configuration), path or LoadPath()
+    settings = (settings or NewtonSettings()).as_arrays()
     if any(map(is_traced, jax.tree.leaves((model, configuration)))):
         raise ValueError(
             "a path is followed outside of jit, vmap and autodiff: call "
-            "solve_equilibrium(..., path=...) with concrete arrays."
+            "trace_equilibria with concrete arrays."
         )
     state = _begin(model, configuration, settings)
     states = [state]

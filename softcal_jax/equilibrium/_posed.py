@@ -135,8 +135,6 @@ class Posed(NamedTuple):
         """Pose a model at full load; friction opposes the configuration's motion."""
         weight = gravity_load(model, configuration.acceleration)
         f_ext = configuration.dead_loads + weight
-        if model.moved:
-            f_ext = refuse_if(f_ext, configuration.is_spread, _SPREAD)
         if any(model.mechanism.actuators.has_friction):
             actuators = actuators_moving(
                 model.mechanism.actuators, configuration.actuation.releasing
@@ -437,4 +435,6 @@ def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
             f"rigid bodies included; the model has {model.n_points}. Make it by "
             "lanes(model, poses)."
         )
-    return configuration
+    if not model.moved:
+        return configuration
+    return refuse_if(configuration, configuration.is_spread, _SPREAD)

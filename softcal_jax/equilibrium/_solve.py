@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import overload
 
 import equinox as eqx
 import jax
@@ -24,7 +23,6 @@ from softcal_jax.equilibrium._assembly import smallest_det_F
 from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
-from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._without_derivative import without_derivative
 
@@ -55,7 +53,7 @@ class EquilibriumSolution(Module):
             conservative.
         approached: Largest share that was found of the ways from the nearest
             equilibrium; 1 if converged, nan if none was tried [-].
-        along_path: Share of the load that its path carries, see `LoadPath`; 1 if
+        along_path: Share of the load that its path carries (`trace_equilibria`); 1 if
             converged, nan if none was followed [-].
     """
 
@@ -100,7 +98,7 @@ def other_ways(solution: EquilibriumSolution) -> str:
             f"where several differ; loads first or last) led at most {way:.3g} % there."
         )
     if np.isfinite(path):
-        said += f" Along its path (`LoadPath`) it carries at most {path:.3g} %."
+        said += f" Along its path (`trace_equilibria`) it carries at most {path:.3g} %."
     return said
 
 
@@ -240,6 +238,8 @@ def _equilibrium_jvp(primals, tangents):
     or_nan = lambda a: safe(a) + jnp.where(solution.converged, 0.0, jnp.nan)
     lin = linearise(model, configuration, safe(u), safe(lambda_a), differentiable=True)
     d = sensitivity(lin, jax.tree.map(safe, input_rows(lin, along)))
+    assert d.displacement is not None
+    assert d.multipliers is not None
     du = or_nan(d.displacement[0])
     of_tets = (safe(u), model.nodes, model.shape_gradients)
     along_tets = (du, None, t_model.shape_gradients)
@@ -272,35 +272,13 @@ def lanes(
     return configuration_arrays(model.mesh, several, model.mechanism)
 
 
-@overload
 def solve_equilibrium(
     model: Model,
     configuration: Configuration | ConfigurationArrays,
     *,
     guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
-    path: None = None,
-) -> EquilibriumSolution: ...
-
-
-@overload
-def solve_equilibrium(
-    model: Model,
-    configuration: Configuration | ConfigurationArrays,
-    *,
-    settings: NewtonSettings | None = None,
-    path: LoadPath,
-) -> EquilibriumPath: ...
-
-
-def solve_equilibrium(
-    model: Model,
-    configuration: Configuration | ConfigurationArrays,
-    *,
-    guess: Nodal | None = None,
-    settings: NewtonSettings | None = None,
-    path: LoadPath | None = None,
-) -> EquilibriumSolution | EquilibriumPath:
+) -> EquilibriumSolution:
     """Solve for the static equilibrium of one configuration.
 
     Works under `jit`, `vmap` and autodiff. Derivatives by model and configuration
@@ -311,26 +289,17 @@ def solve_equilibrium(
         configuration: One configuration, with supports and loads, or one of `lanes`.
         guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
-        path: Traces all states from rest along the load by arc length, also past limit
-            points where a body balloons or buckles; not under `jit`.
 
     Returns:
-        The solution with its outcome, which `check_converged` raises; with `path` the
-        states along the load.
+        The solution with its outcome, which `check_converged` raises.
 
     Raises:
         ValueError: If the configuration is a batch or of another model, the guess has
-            another shape or is not float64, a path is asked for together with a guess
-            or under `jit`, or float64 is off in JAX.
+            another shape or is not float64, or float64 is off in JAX.
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
     configuration = one_lane(model, configuration)
-    if path is not None:
-        if guess is not None:
-            raise ValueError("a path begins at rest: leave out `guess`.")
-        numbers = (settings or NewtonSettings()).as_arrays()
-        return trace(model, configuration, path, numbers)
     rest = jnp.zeros((model.n_points, 3))
     u0 = rest if guess is None else jnp.asarray(guess)
     if u0.shape != (model.n_points, 3) or u0.dtype != jnp.float64:

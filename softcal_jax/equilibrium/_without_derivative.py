@@ -1,6 +1,7 @@
 """Numbers that tell how a computation went, or count, and have no derivative."""
 
 from functools import partial
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -11,8 +12,10 @@ from jax.interpreters import ad, batching, mlir
 
 from softcal_jax._typing import Array, Bool, Float, is_traced
 
+T = TypeVar("T")
 
-def refuse_if(value: Array, wrong: Bool[Array, "..."], why: str) -> Array:
+
+def refuse_if(value: T, wrong: Bool[Array, "..."], why: str) -> T:
     """Return the value; raise a ValueError if `wrong`, or when a program finds it."""
     if not is_traced(wrong) and np.any(wrong):
         raise ValueError(why)
@@ -28,7 +31,6 @@ def without_derivative(
     Where `by`, a number that is found with it, is differentiated, its tangent is nan,
     and a cotangent that is not zero raises an error that calls it by its `name`.
     """
-    del by, name
     return value
 
 

@@ -154,7 +154,7 @@ def face_areas(
     dN = shape_gradients(rule.barycentric, n_fn)
     tangents = xp.einsum("fai,qaj->fqji", mesh.points[faces], dN)
     area = 0.5 * xp.linalg.norm(xp.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
-    return area * rule.weights, shape_functions(rule.barycentric, n_fn)
+    return area * rule.weights[None], shape_functions(rule.barycentric, n_fn)
 
 
 def face_shares(

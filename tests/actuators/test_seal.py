@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 import softcal_jax as sc
 from benchmarks._hollow import hollow
-from softcal_jax.actuators import Chamber
+from softcal_jax.actuators import Chamber, actuators_following
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.mesh import TetMesh, beam
 
@@ -204,3 +204,19 @@ def test_what_is_around_the_body_is_no_cavity():
     body = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": open_side})
     with pytest.raises(ValueError, match=r"'cavity'.*inner side"):
         arrays_of(body, SEALED)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_lid_follows_the_points_of_the_mesh_at_rest(order):
+    mesh = channel(0, 3, order)
+    points = mesh.points + 0.05 * np.random.default_rng(0).normal(
+        size=mesh.points.shape
+    )
+    other = TetMesh(points, mesh.tets, mesh.node_groups, mesh.surface_groups)
+    ours = actuators_following(arrays_of(mesh, SEALED), other, jnp.asarray(points))
+    built = arrays_of(other, SEALED)
+    np.testing.assert_allclose(ours.rest, built.rest, rtol=1e-12)
+    x = jnp.asarray(bent(points))
+    np.testing.assert_allclose(
+        actuator_displacements(ours, x), actuator_displacements(built, x), rtol=1e-12
+    )

@@ -82,12 +82,15 @@ def interrupted_in(part):
     return result
 
 
+SHIFT = np.array([1e-5, 0.0, 0.0])
+
+
 def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
     """On one core, where poses are predicted one after the other."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     # Readings of their own: the same ones again would not be held out.
     held_out = [
-        replace(pose, name=f"{pose.name} again", measured=pose.measured + [1e-5, 0, 0])
+        replace(pose, name=f"{pose.name} again", measured=pose.measured + SHIFT)
         for pose in measured()
     ]
 

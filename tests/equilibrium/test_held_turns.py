@@ -22,6 +22,7 @@ from softcal_jax.equilibrium import (
     build_model,
     check_converged,
     solve_equilibrium,
+    trace_equilibria,
 )
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.materials import Corotational, Isotropic
@@ -167,7 +168,7 @@ def test_the_end_does_not_depend_on_the_path():
 @pytest.mark.slow
 def test_a_path_leads_there_too():
     """States along the load of a held body, each an arc of the same length."""
-    path = solve_equilibrium(robot(), bent(0.25), path=LoadPath(first=0.25))
+    path = trace_equilibria(robot(), bent(0.25), LoadPath(first=0.25))
     assert bool(path.result == RESULTS.converged), RESULTS[path.result]
     solution = from_rest(0.25)
     np.testing.assert_allclose(

@@ -8,7 +8,6 @@ from concurrent.futures import CancelledError
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanisms import TIGHT, arrays
@@ -24,6 +23,7 @@ from softcal_jax.equilibrium import (
     _path,
     check_converged,
     solve_equilibrium,
+    trace_equilibria,
 )
 
 MU = 1.0 / 3.0
@@ -46,8 +46,8 @@ def lane():
 
 @pytest.fixture(scope="module")
 def path(lane):
-    return solve_equilibrium(
-        model(), lane, settings=TIGHT, path=LoadPath(states=12, first=0.2)
+    return trace_equilibria(
+        model(), lane, LoadPath(states=12, first=0.2), settings=TIGHT
     )
 
 
@@ -102,7 +102,7 @@ def test_an_imposed_volume_reaches_the_full_load(monkeypatch):
     monkeypatch.setattr(_path, "_step", noted)
     growth = 4.0 / 3.0 * np.pi * (2.5**3 - 1.0)
     lane = arrays(model(), inflated(chamber=ImposedDisplacement(growth)))
-    path = solve_equilibrium(model(), lane, path=LoadPath(first=0.5))
+    path = trace_equilibria(model(), lane, LoadPath(first=0.5))
     assert bool(path.result == RESULTS.converged)
     assert path.load[-1] == 1.0
     assert len(programs) == 1, "the first step and the others share one"
@@ -131,11 +131,8 @@ def test_a_limit_point_is_named_as_one(lane):
 
 
 def test_a_path_is_refused_where_it_cannot_be_followed(lane):
-    guess = jnp.zeros((model().n_points, 3))
-    with pytest.raises(ValueError, match=r"rest: leave out `guess`"):
-        solve_equilibrium(model(), lane, guess=guess, path=LoadPath())  # type: ignore
     with pytest.raises(ValueError, match="outside of jit"):
-        jax.jit(lambda c: solve_equilibrium(model(), c, path=LoadPath()).load)(lane)
+        jax.jit(lambda c: trace_equilibria(model(), c).load)(lane)
 
 
 @pytest.mark.parametrize(
@@ -161,5 +158,5 @@ def test_a_path_ends_where_its_check_raises(lane):
             raise CancelledError
 
     with pytest.raises(CancelledError):
-        _path.trace(model(), lane, LoadPath(), TIGHT.as_arrays(), check)
+        trace_equilibria(model(), lane, settings=TIGHT, check=check)
     assert len(states) == 3

@@ -16,7 +16,7 @@ from problems import TOGGLE, toggle_loads
 from scipy.optimize import fminbound
 
 from softcal_jax.configurations import Centroid, Configuration, Support, SurfaceForce
-from softcal_jax.equilibrium import RESULTS, LoadPath, build_model, solve_equilibrium
+from softcal_jax.equilibrium import RESULTS, LoadPath, build_model, trace_equilibria
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import TetMesh, beam
 
@@ -56,7 +56,7 @@ def path():
     )
     model = build_model(mesh, law, density=0.0)
     steps = LoadPath(states=20, first=0.15, largest=0.3)
-    return solve_equilibrium(model, arrays(model, frame), path=steps)
+    return trace_equilibria(model, arrays(model, frame), steps)
 
 
 def deflections(path):

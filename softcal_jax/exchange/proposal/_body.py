@@ -163,7 +163,8 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
             made = build_mechanism(mesh, [], [chamber])
         except ValueError:  # a wall of the outside, whatever it is called
             continue
-        (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
+        points = np.asarray(made.points)
+        (volume,) = enclosed_volumes(made.actuators.groups, points).values()
         # A flat wall of the outside encloses nothing, with either sign of rounding.
         if name != held.group and volume > 1e-6 * float(volumes(mesh).sum()):
             chambers[name] = is_open
