@@ -72,7 +72,7 @@ class SurfaceForceActuator(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
-        weights = np.asarray(shares / shares.sum())[..., None]
+        weights = (shares / shares.sum())[..., None]
         parts = weights * unit_vector("direction", self.direction)
         return (WeightedNodes(*owned(faces, owner, parts), by_area=True),)
 

@@ -189,11 +189,10 @@ def configuration_lanes(
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     every = zip(configurations, rows, stack_effectors(rows), strict=True)
-    points = np.asarray(mechanism.points)
     for c, of_c, (effectors, indices) in every:
         lanes.append(_lane(mesh, mechanism, c, effectors, springs=springs, loads=loads))
         numbered = zip(of_c, indices, strict=True)
-        described = (effector_record(*both, points) for both in numbered)
+        described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
     return ConfigurationLanes(stacked(lanes), tuple(records))
 

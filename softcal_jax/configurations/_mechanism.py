@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,7 +43,7 @@ class Mechanism(Module):
             0 for other actuators.
     """
 
-    points: Float[Array | HostArray, "n_points 3"]
+    points: Float[HostArray, "n_points 3"]
     bodies: rigid.BodyArrays
     contacts: Contacts
     actuators: ActuatorArrays
@@ -58,13 +59,10 @@ class Mechanism(Module):
         bodies = self.bodies.following(jnp.asarray(self.points)[:n], points)
         shifts = jnp.repeat(bodies.origin - self.bodies.origin, 4, axis=0)
         points = jnp.concatenate([points, self.points[n:] + shifts])
-        return Mechanism(
-            points,
-            bodies,
-            self.contacts.following(mesh, points),
-            actuators_following(self.actuators, mesh, points),
-            self.motor_zero,
-        )
+        contacts = self.contacts.following(mesh, points)
+        actuators = actuators_following(self.actuators, mesh, points)
+        where = lambda m: (m.points, m.bodies, m.contacts, m.actuators)
+        return eqx.tree_at(where, self, (points, bodies, contacts, actuators))
 
     def check_on(self, mesh: TetMesh) -> None:
         """Raise ValueError if the points of the mesh are others than those at rest."""

@@ -176,11 +176,7 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
             "SofaCorotational holds matrices of the edges of its mesh, which do not "
             "follow: build the model anew, with SofaCorotational.of_mesh."
         )
-    set_points = partial(eqx.tree_at, lambda mesh: mesh.points, model.mesh)
-    mechanism = model.mechanism.following(set_points(jnp.asarray(points, float)))
-    # Of one array, so that `check_on` finds both traced or neither.
-    mesh = set_points(mechanism.points[: len(model.mesh.points)])
-    dN, w, node_volumes = _of_points(mesh)
+    mesh, mechanism, dN, w, node_volumes = _following(model, jnp.asarray(points, float))
     w = refuse_if(w, jnp.any(w <= 0.0), "the new points turn a tet inside out.")
     new = replace(
         model,
@@ -194,6 +190,16 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
     on_host = lambda old, leaf: np.asarray(leaf) if known(old, leaf) else leaf
     new = jax.tree.map(on_host, model, new)
     return replace(new, moved=model.moved or is_traced(w))
+
+
+@eqx.filter_jit
+def _following(model: Model, points: Array) -> tuple[Any, ...]:
+    """Compute what depends on the points of the mesh."""
+    set_points = partial(eqx.tree_at, lambda mesh: mesh.points, model.mesh)
+    mechanism = model.mechanism.following(set_points(points))
+    # Of one array, so that `check_on` finds both traced or neither.
+    mesh = set_points(mechanism.points[: len(points)])
+    return mesh, mechanism, *_of_points(mesh)
 
 
 def _prepared(

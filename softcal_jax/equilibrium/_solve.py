@@ -235,12 +235,10 @@ def _equilibrium_jvp(primals, tangents):
     # Without an equilibrium there is no derivative either, and none that reaches what
     # it shares with other lanes: at rest, all that a zero is multiplied with is finite.
     safe = lambda a: jnp.where(solution.converged, a, 0.0)
-    or_nan = lambda a: safe(a) + jnp.where(solution.converged, 0.0, jnp.nan)
+    or_nan = lambda a: safe(a[0]) + jnp.where(solution.converged, 0.0, jnp.nan)
     lin = linearise(model, configuration, safe(u), safe(lambda_a), differentiable=True)
     d = sensitivity(lin, jax.tree.map(safe, input_rows(lin, along)))
-    assert d.displacement is not None
-    assert d.multipliers is not None
-    du = or_nan(d.displacement[0])
+    du = or_nan(d.displacement)
     of_tets = (safe(u), model.nodes, model.shape_gradients)
     along_tets = (du, None, t_model.shape_gradients)
     _, d_det = eqx.filter_jvp(smallest_det_F, of_tets, along_tets)
@@ -248,7 +246,7 @@ def _equilibrium_jvp(primals, tangents):
     return solution, eqx.tree_at(
         lambda s: (s.displacement, s.multipliers, s.min_det_F),
         none,
-        (du, or_nan(d.multipliers[0]), d_det),
+        (du, or_nan(d.multipliers), d_det),
         is_leaf=lambda leaf: leaf is None,
     )
 

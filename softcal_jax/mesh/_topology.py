@@ -157,9 +157,7 @@ def face_areas(
     return area * rule.weights[None], shape_functions(rule.barycentric, n_fn)
 
 
-def face_shares(
-    mesh: TetMesh, faces: Int[Array | HostArray, "n_faces n_fn"]
-) -> Float[Array | HostArray, "n_faces n_fn"]:
+def face_shares(mesh: TetMesh, faces: Int[Array | HostArray, "n_faces n_fn"]) -> Any:
     """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
     area, N = face_areas(mesh, faces)
     return area @ N

@@ -158,7 +158,7 @@ def _obstacles(model: Model) -> Iterator[tuple[str, ...]]:
 
 
 def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
-    actuators, x = model.mechanism.actuators, np.asarray(model.mechanism.points)
+    actuators, x = model.mechanism.actuators, model.mechanism.points
     geometry = actuator_geometry(actuators, x)
     lengths = np.linalg.norm(geometry.segments[:, 1] - geometry.segments[:, 0], axis=1)
     volumes_of = enclosed_volumes(actuators.groups, x)

@@ -1,11 +1,14 @@
-"""Points of a mesh at rest: what follows them, as against a model built of them."""
+"""Points of a mesh at rest: what follows them, as against a model built of them.
+
+`test_rigid_bodies` has derivatives of equilibria by points.
+"""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanisms import TIGHT, arrays, both_ways_at, solve, strip
+from mechanisms import arrays, strip
 from problems import central_difference
 
 from softcal_jax.actuators import Cable, Guide, SurfaceForceActuator
@@ -96,15 +99,20 @@ LANE, TANGENT = arrays(MODEL, POSE), moves(POINTS)
 
 
 def numbers_of(model):
-    """All that a model has, beside what its solver keeps, and an infinite depth."""
+    """All that a model has, with a modulus at control points.
+
+    But for what its solver keeps, and an infinite depth.
+    """
+    model, _ = SPACE.apply(model, None, SPACE.start())
     others = lambda m: (m.solver, m.mechanism.contacts.depth)
     model = eqx.tree_at(others, model, (None, None))
     return eqx.filter(model, eqx.is_inexact_array)
 
 
-def test_all_that_a_model_has_is_that_of_a_model_built_of_the_points(monkeypatch):
-    """With obstacles, on quadratic tets: values, and derivatives of second order."""
-    mesh = strip(3, order=2)
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_model_is_that_built_of_the_points(monkeypatch, order):
+    """With obstacles: values, and derivatives of second order."""
+    mesh = strip(3, order)
     # The length of a frame is a unit alone.
     monkeypatch.setattr(TetMesh, "size", mesh.size)
     points = jnp.asarray(mesh.points)
@@ -131,40 +139,9 @@ def test_all_that_a_model_has_is_that_of_a_model_built_of_the_points(monkeypatch
             continue
         # Second order: a third of the step leaves a ninth of the error.
         changing.append(coarse / fine)
-    # Contact areas, surface force, cable, gradients, weights, volumes.
-    assert len(changing) == 6
+    # Modulus, contact areas, surface force, cable, gradients, weights, volumes.
+    assert len(changing) == 7
     np.testing.assert_allclose(changing, 9.0, rtol=0.05)
-
-
-def read(model, lane):
-    """Readings, stored energy and smallest det F, with a modulus of control points."""
-    model, lane = SPACE.apply(model, lane, SPACE.start())
-    s, values = solve(model, lane, None, TIGHT)
-    energy = energy_and_force(model, s.displacement)[0]
-    return jnp.concatenate([values.ravel(), jnp.stack([energy, s.min_det_F])]), s
-
-
-def test_equilibria_and_their_derivatives_are_those_of_a_model_built_of_the_points():
-    """Of second order; forward and reverse agree."""
-
-    def rebuilt(points):
-        model, pose = built(points)
-        return read(model, arrays(model, pose))[0]
-
-    on = lambda points: read(with_points(MODEL, points), LANE)[0]
-    value, solution = read(MODEL, LANE)
-    points = POINTS + TANGENT
-    np.testing.assert_allclose(on(points), rebuilt(points), rtol=1e-9, atol=1e-11)
-    cotangent = jnp.asarray(np.random.default_rng(1).normal(size=value.shape))
-    of = both_ways_at(on)
-    forward, reverse = of(solution, POINTS, TANGENT, cotangent)
-    error = lambda h: jnp.max(
-        jnp.abs(central_difference(rebuilt, POINTS, TANGENT, h) - forward)
-    )
-    assert error(1e-1) < 1e-2 * jnp.max(jnp.abs(forward))
-    np.testing.assert_allclose(error(1e-1) / error(1e-1 / 3.0), 9.0, rtol=0.05)
-    both = jnp.vdot(reverse, TANGENT), jnp.vdot(cotangent, forward)
-    np.testing.assert_allclose(*both, rtol=1e-9)
 
 
 def test_points_set_in_another_way_raise():

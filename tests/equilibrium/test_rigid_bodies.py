@@ -30,7 +30,12 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import BodyFrame, Configuration
-from softcal_jax.equilibrium import build_model, energy_and_force, residual
+from softcal_jax.equilibrium import (
+    build_model,
+    energy_and_force,
+    residual,
+    with_points,
+)
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
@@ -309,6 +314,7 @@ class Inputs(NamedTuple):
     pose_translation: jax.Array
     pose_rotation: jax.Array
     force: jax.Array
+    points: jax.Array
 
 
 def _inputs(both):
@@ -321,11 +327,14 @@ def _inputs(both):
         lane.bodies.translation,
         lane.bodies.rotation,
         lane.loads.force,
+        model.mesh.points,
     )
 
 
 def frames(inputs, both):
-    return values_of(*both, None, _inputs, inputs)
+    model, lane = both
+    on_points = with_points(model, inputs.points)
+    return values_of(on_points, lane, None, _inputs, inputs)
 
 
 forward_and_reverse = both_ways_at(frames)
@@ -346,6 +355,7 @@ def start(request):
 def direction(inputs, name):
     """A random direction in one input of a size that the robot can follow."""
     scale = {"translation": 2e-3, "rotation": 0.1, "mass": 0.02, "force": 0.02}
+    scale["points"] = 2e-3
     value = getattr(inputs, name)
     noise = np.random.default_rng(3).normal(size=value.shape)
     noise = scale[name.removeprefix("pose_")] * noise

@@ -163,8 +163,7 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
             made = build_mechanism(mesh, [], [chamber])
         except ValueError:  # a wall of the outside, whatever it is called
             continue
-        points = np.asarray(made.points)
-        (volume,) = enclosed_volumes(made.actuators.groups, points).values()
+        (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
         # A flat wall of the outside encloses nothing, with either sign of rounding.
         if name != held.group and volume > 1e-6 * float(volumes(mesh).sum()):
             chambers[name] = is_open
