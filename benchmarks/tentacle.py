@@ -84,8 +84,10 @@ def marker_errors(poses: Sequence[ConfigurationResult]) -> dict[str, float]:
     """Root mean square distance of each marker over some poses [mm]."""
     squares: dict[str, list[float]] = {}
     for pose in poses:
-        for marker, error in zip(pose.points, pose.error_after, strict=True):
-            squares.setdefault(marker.name, []).append(float(error @ error))
+        for marker in pose.points:
+            if marker.seen.any():
+                square = marker.distance(marker.simulated) ** 2
+                squares.setdefault(marker.name, []).append(square)
     return _rms_mm(squares)
 
 
