@@ -28,14 +28,15 @@ DENT = 0.1  # share of a displacement from which a dent in it is named [-]
 _NOTHING = 1e-12  # displacement that counts as none [m]
 
 Omission = tuple[str, float]
-"""A sentence with {} for the share of a displacement, and that share [-]."""
+"""A sentence, and the share of a displacement with which it begins, or 0 [-]."""
 
 
 def omission_sentences(omissions: Iterable[Omission]) -> tuple[str, ...]:
     """Return each sentence once, with the largest share of all configurations."""
     largest = dict(sorted(omissions, key=lambda omission: omission[1]))
-    amount = lambda share: f"Up to {100 * share:.0f} %" if share < np.inf else "A part"
-    return tuple(text.format(amount(share)) for text, share in largest.items())
+    part = lambda share: f"Up to {100 * share:.0f} %" if share < np.inf else "A part"
+    begin = lambda share: f"{part(share)} " if share else ""
+    return tuple(begin(share) + text for text, share in largest.items())
 
 
 def omissions(
@@ -55,7 +56,7 @@ def omissions(
         yield (
             f"No mass is stated for the rigid body {name!r}, on which gravity acts: "
             "weigh it (mass; 0 if it has none).",
-            np.inf,
+            0.0,
         )
     mesh, actuators = model.mesh, model.mechanism.actuators
     bare = np.logical_not(np.any(lane.fixed, axis=1))
@@ -87,7 +88,7 @@ def omissions(
     for what, share in shares.items():
         if share > DENT:
             yield (
-                f"{{}} of what {what} moves is the dent of a force at a point of bare "
+                f"of what {what} moves is the dent of a force at a point of bare "
                 "tets, which depends on their size: let it act on a plate, a rigid "
                 "body ([bodies] in a project file), or on a surface.",
                 share,
@@ -101,8 +102,8 @@ def _points(actuators: ActuatorArrays) -> dict[int, list[Int[HostArray, " n"]]]:
         weights = np.zeros((0, 0, 0))
         if isinstance(group, AbstractGuided):
             weights = np.asarray(group.weights)
-        elif isinstance(group, WeightedNodes) and group.nodes.shape[1] in (4, 10):
-            weights = np.linalg.norm(group.weights, axis=2)[:, None]  # those of a tet
+        elif isinstance(group, WeightedNodes) and not group.by_area:
+            weights = np.linalg.norm(group.weights, axis=2)[:, None]
         nodes, owner = np.asarray(group.nodes), np.asarray(group.owner).tolist()
         for a, at, rows in zip(owner, nodes, weights, strict=False):
             points[a] += [at[np.abs(w) > 1e-9] for w in rows]
