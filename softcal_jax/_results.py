@@ -14,10 +14,19 @@ class RESULTS(eqx.Enumeration):
         "mechanism does, or raise max_steps ([newton] in a project file)"
     )
     limit_point = (
-        "a limit point: the largest load that the body or its law bears, such as the "
-        "largest pressure of a chamber; no stable equilibrium follows at a higher one. "
-        "Check modulus, wall and units, reduce the load, or trace the branch with "
-        "trace_equilibria"
+        "a limit point: the largest load that the body bears; no stable equilibrium "
+        "follows at a higher one. Check modulus, wall and units, reduce the load, or "
+        "trace the branch with trace_equilibria"
+    )
+    largest_pressure = (
+        "a limit point: the largest pressure that a chamber bears; no stable "
+        "equilibrium follows at a higher one. Check modulus, wall and units, lower the "
+        "pressure, or impose the volume in its place"
+    )
+    law_unstable = (
+        "the law loses its stability: along the motion by which the body gives way, it "
+        "has less than a quarter of its stiffness at rest. Check its constants and the "
+        "load, or take a law that is meant for such strains"
     )
     states_used_up = (
         "the path along the load needs more states to reach the full load; raise "
@@ -30,7 +39,7 @@ class RESULTS(eqx.Enumeration):
     )
     unstable = (
         "the state is unstable: its tangent has negative eigenvalues, so no stable "
-        "equilibrium follows this load path; the structure or its law gives way"
+        "equilibrium follows this load path, as where a body buckles or snaps through"
     )
     singular = (
         "the tangent could not be factorized: it is singular, as for a mechanism or "

@@ -22,6 +22,7 @@ from softcal_jax.equilibrium._element import (
     element_stresses,
     mean_dilatation,
     mixed_newton,
+    stiffness_of_law,
 )
 from softcal_jax.equilibrium._model import Model, Nodal, check_law
 from softcal_jax.equilibrium._sparsity import element_entries
@@ -102,6 +103,18 @@ def shear_moduli(model: Model) -> Float[Array, " n_tets"]:
 def _shear_modulus(u, tet):
     C, (i, j) = tet.law.tangent(jnp.eye(3)), np.triu_indices(3, 1)
     return jnp.mean(C[i, j, i, j])
+
+
+@eqx.filter_jit
+def stiffness_of_laws(model: Model, u: Nodal, du: Nodal) -> Float[Array, "2"]:
+    """Sum `stiffness_of_law` over all tets [J]."""
+    both = jnp.concatenate([u, du], axis=1)
+    of_tets = _by_tet(model, _map_blocks(model, both, _stiffness_of_law))
+    return jnp.sum(of_tets, axis=0)
+
+
+def _stiffness_of_law(both, tet):
+    return stiffness_of_law(both[:, :3], both[:, 3:], tet)
 
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:

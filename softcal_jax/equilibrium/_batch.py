@@ -29,6 +29,7 @@ from softcal_jax.equilibrium._solve import (
     begin_newton,
     continue_newton,
     resumed,
+    with_cause,
     without_readings,
 )
 from softcal_jax.equilibrium._workers import Program, Workers
@@ -200,6 +201,7 @@ class _Lanes:
         configurations = list(configurations)
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
+        self._with_cause = partial(with_cause, model)
         self._trace = lambda c: trace_equilibria(
             model, configurations[c], settings=newton, check=workers.check
         )
@@ -241,7 +243,8 @@ class _Lanes:
         else:
             state = resumed(begun)
         state = state._replace(step=state.step + min(taken, self._most // 2))
-        return self._run(go_on, self.each[c], state, partial(self._say, c))[1]
+        ended = self._run(go_on, self.each[c], state, partial(self._say, c))
+        return self._with_cause(self.each[c], *ended)
 
     def from_known(
         self, c: int, near: Known, begun: NewtonState | None

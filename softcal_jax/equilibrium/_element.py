@@ -167,6 +167,35 @@ def _energies_and_stresses(
     return F, psi, P
 
 
+def stiffness_of_law(
+    u: Float[Array, "n_en 3"], du: Float[Array, "n_en 3"], tet: Tet
+) -> Float[Array, "2"]:
+    """Compute the stiffness of a tet's law along a motion `du` from `u`, and at rest.
+
+    The first is dF : A : dF without the rotation in dF, by which structures buckle; the
+    second the same at rest for the same rate of strain [J].
+    """
+
+    def gradients(u):
+        F = deformation_gradients(u, tet.dN)
+        if not tet.mixed:
+            return F
+        return _each(_scaled_to(mean_dilatation(u, tet), F)[1]) * F
+
+    def stiffness(F, dF):
+        _, A = _stresses_and_tangents(tet.law, F)
+        return tet.active * jnp.einsum("q,qiJ,qiJkL,qkL", tet.w, dF, A, dF)
+
+    F, dF = jax.jvp(gradients, (u,), (du,))
+    left, _, right = jnp.linalg.svd(F)
+    R = left @ right
+    symmetric = lambda a: 0.5 * (a + jnp.swapaxes(a, 1, 2))
+    straight = R @ symmetric(jnp.swapaxes(R, 1, 2) @ dF)
+    rate = symmetric(dF @ jnp.linalg.inv(F))
+    at_rest = jnp.broadcast_to(jnp.eye(3), F.shape)
+    return jnp.stack([stiffness(F, straight), stiffness(at_rest, rate)])
+
+
 def element_stiffness(
     u: Float[Array, "n_en 3"],
     tet: Tet,

@@ -94,6 +94,7 @@ class NewtonState(NamedTuple):
     `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
     volume ratios of the mixed Newton step; everything else, including the stopping
     rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
+    `stray` is the displacement at which the load was last cut.
     `lost` is the fewest negative eigenvalues of any unstable iterate at this load,
     `limit` the fewest at loads that count as beyond a limit point; 0 if all are stable.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
@@ -118,6 +119,7 @@ class NewtonState(NamedTuple):
     limit: Int[Array, ""]
     any_singular: Bool[Array, ""]
     turned: Bool[Array, ""]
+    stray: Nodal
     result: RESULTS
     done: Bool[Array, ""]
 
@@ -283,6 +285,7 @@ class NewtonLoop:
         so_far = RESULTS.where(beyond, RESULTS.limit_point, s.result)
         return s._replace(
             point=s.ok,
+            stray=s.point.u,
             theta=dilatation(self.model, s.theta, s.ok.u, jnp.zeros_like(s.ok.u)),
             lambda_a=s.lambda_ok,
             load=s.load_ok + increment,
@@ -328,6 +331,7 @@ class NewtonLoop:
             limit=count,
             any_singular=jnp.zeros((), bool),
             turned=jnp.zeros((), bool),
+            stray=rest.u,
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )

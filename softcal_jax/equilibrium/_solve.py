@@ -19,12 +19,16 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._assembly import smallest_det_F
+from softcal_jax.equilibrium._assembly import (
+    gravity_load,
+    smallest_det_F,
+    stiffness_of_laws,
+)
 from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._without_derivative import without_derivative
+from softcal_jax.equilibrium._without_derivative import refuse_if, without_derivative
 
 
 class EquilibriumSolution(Module):
@@ -188,6 +192,43 @@ def continue_newton(
     return state, as_solution(state, settings)
 
 
+_GIVES_WAY = 0.25
+"""Share of its stiffness at rest below which a law gives way; structures keep it [-].
+
+Measured: 0.11 and less where a law's stress falls, 0.4 and more for columns, a balloon.
+"""
+
+
+def with_cause(
+    model: Model,
+    lane: ConfigurationArrays,
+    state: NewtonState,
+    solution: EquilibriumSolution,
+) -> EquilibriumSolution:
+    """Say of a solve that failed whether its law gave way, or a chamber.
+
+    A chamber has if its pressure does most of the work of the loads.
+    """
+    failed = solution.result
+    if failed in (RESULTS.converged, RESULTS.inverted):
+        return solution
+    u = state.point.u if failed == RESULTS.unstable else state.stray
+    motion = u if failed == RESULTS.unstable else u - state.ok.u
+    here, at_rest = stiffness_of_laws(model, u, motion)
+    if here < _GIVES_WAY * at_rest:
+        return replace(solution, result=RESULTS.law_unstable)
+    if failed != RESULTS.limit_point:
+        return solution
+    actuation, kinds = lane.actuation, model.mechanism.actuators.kinds
+    work = np.abs(actuation.forces * model.displacements(u))
+    work = np.where(actuation.by_displacement, 0.0, work)
+    chambers = np.array([kind.noun == "chamber" for kind in kinds], bool)
+    dead = np.sum((lane.dead_loads + gravity_load(model, lane.acceleration)) * u)
+    if np.sum(work[chambers]) > np.sum(work[~chambers]) + abs(dead):
+        return replace(solution, result=RESULTS.largest_pressure)
+    return solution
+
+
 def resumed(state: NewtonState) -> NewtonState:
     """Return a state that gave up its first step, to go on by load steps from rest."""
     beyond = state.result == RESULTS.limit_point
@@ -308,13 +349,16 @@ def solve_equilibrium(
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
     inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
     if any(map(is_traced, jax.tree.leaves(inside))):
+        of_mesh = model.mechanism.points[: model.mesh.n_nodes]
+        moved = jnp.any(jnp.asarray(model.mesh.points) != of_mesh)
+        u0 = refuse_if(u0, moved, OTHER_POINTS)
         solution = _compiled_equilibrium(model, bare, u0, settings)
         by = solution.min_det_F
         guarded = lambda name: without_derivative(getattr(solution, name), by, name)
         return replace(solution, **{name: guarded(name) for name in _DIAGNOSTICS})
     numbers, most = settings.as_arrays(), jnp.asarray(settings.max_steps)
     state = begin_newton(model, numbers, bare, None if guess is None else u0)
-    return continue_newton(model, numbers, most, bare, state)[1]
+    return with_cause(model, bare, *continue_newton(model, numbers, most, bare, state))
 
 
 def without_readings(configuration: ConfigurationArrays) -> ConfigurationArrays:

@@ -115,7 +115,7 @@ def test_an_imposed_volume_reaches_the_full_load(monkeypatch):
 
 def test_a_limit_point_is_named_as_one(lane):
     solution = solve_equilibrium(model(), lane)
-    assert bool(solution.result == RESULTS.limit_point)
+    assert bool(solution.result == RESULTS.largest_pressure)
     assert int(solution.n_negative) == 1
     # Newton's iterations are used up before the load steps are the smallest.
     share = float(solution.load_reached)

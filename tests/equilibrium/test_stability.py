@@ -22,8 +22,10 @@ from problems import GREENHILL_KAPPA, nearest_node
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import eigsh
 
-from softcal_jax.configurations import Configuration, PointForce
-from softcal_jax.equilibrium import RESULTS
+from softcal_jax.configurations import Configuration, PointForce, SurfaceForce
+from softcal_jax.equilibrium import RESULTS, build_model, solve_equilibrium
+from softcal_jax.materials import Isotropic, StVenantKirchhoff, Yeoh
+from softcal_jax.mesh import beam
 
 EI, AREA = YOUNG * SIDE**4 / 12.0, SIDE**2
 GRAVITY_AT_ONE = EI / (DENSITY * AREA * LENGTH**3)
@@ -67,12 +69,25 @@ def test_above_it_no_straight_state_is_called_stable(columns, tip):
         assert int(fallen.n_negative) > 0
 
 
-def test_no_outcome_takes_a_cause_for_granted():
-    """Chambers and laws lose their stability too."""
-    for outcome in (RESULTS.unstable, RESULTS.limit_point, RESULTS.singular):
-        assert "buckl" not in RESULTS[outcome]
-    assert "largest pressure of a chamber" in RESULTS[RESULTS.limit_point]
-    assert "law" in RESULTS[RESULTS.unstable]
+@pytest.mark.parametrize(
+    ("law", "pull"),
+    [
+        (Yeoh(YOUNG / 6.0, -YOUNG / 60.0, 0.0, nu=0.45), 0.5),
+        (StVenantKirchhoff(Isotropic(YOUNG, 0.3)), -0.4),
+    ],
+)
+def test_a_law_that_loses_its_stability_is_called_that(law, pull):
+    """The nominal stress of both has a largest value, 0.36 E and -0.19 E."""
+    end = SurfaceForce("x_max", (pull * YOUNG * AREA, 0.0, 0.0))
+    bar = Configuration("bar", CLAMP, loads=(end,))
+    mesh = beam(2.0 * SIDE, SIDE, SIDE, cells=(2, 1, 1))
+    solution = solve_equilibrium(build_model(mesh, law, density=0.0), bar)
+    assert bool(solution.result == RESULTS.law_unstable)
+
+
+def test_a_column_that_buckles_is_not_called_that():
+    solution = solve_equilibrium(small_model(), column(9.0))
+    assert bool(solution.result == RESULTS.unstable)
 
 
 def test_a_small_push_shows_the_bent_state(columns, tip):

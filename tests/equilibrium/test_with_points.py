@@ -158,7 +158,7 @@ def test_points_set_in_another_way_raise():
 FAR = jnp.zeros((MODEL.n_points, 3))
 
 
-def test_points_set_where_the_model_is_traced_have_no_derivative():
+def test_points_set_where_the_model_is_traced_raise():
     @eqx.filter_jit
     def height(model, points):
         model = eqx.tree_at(lambda m: m.mesh.points, model, points)
@@ -166,6 +166,9 @@ def test_points_set_where_the_model_is_traced_have_no_derivative():
 
     with pytest.raises(ValueError, match="with_points"):
         jax.grad(lambda points: height(MODEL, points))(POINTS)
+    assert np.isfinite(height(MODEL, POINTS))
+    with pytest.raises(RuntimeError, match="with_points"):
+        height(MODEL, POINTS + TANGENT)
 
 
 SPREAD = {
