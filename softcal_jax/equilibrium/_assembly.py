@@ -9,19 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
+    Strains,
     Tet,
     TetStates,
     TetStresses,
     deformation_gradients,
     element_energy_and_force,
     element_state,
-    element_stiffness,
     element_stresses,
-    mean_dilatation,
-    mixed_newton,
+    newton_system,
+    predicted_strains,
     stiffness_of_law,
 )
 from softcal_jax.equilibrium._model import Model, Nodal, check_law
@@ -50,7 +50,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     arrays, static = eqx.partition((shared, same), eqx.is_array)
     # Flattened, as a module that holds a list has no hash.
     leaves, tree = jax.tree.flatten(static)
-    how = kernel, model.has_volume_unknowns, tuple(leaves), tree
+    how = kernel, model.averages_volume, tuple(leaves), tree
     return _mapped(how, u, arrays, model.nodes, *blocks, *per_tet)
 
 
@@ -167,38 +167,27 @@ def smallest_det_F(u: Nodal, nodes, dN) -> Float[Array, ""]:
     return jnp.min(determinant(jnp.eye(3)[:, :, None, None, None] + H))
 
 
-def tangent_values(
-    model: Model, u: Nodal, before: Nodal | None = None
-) -> Float[Array, " nnz"]:
-    """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
-
-    For `before`, where the step to `u` began, see `element_stiffness`.
-    """
-    both, stepped = u, None
-    if before is not None:
-        both, stepped = jnp.concatenate([u, before], axis=1), jnp.any(before != u)
-    options = {"symmetric": model.pattern.symmetric, "stepped": stepped}
-    return _add_entries(model, _map_blocks(model, both, _stiffness, **options))
+def tangent_values(model: Model, u: Nodal) -> Float[Array, " nnz"]:
+    """Compute the tangent K = df/du over all nodes, in the pattern's order [N/m]."""
+    options = {"symmetric": model.pattern.symmetric}
+    return _add_entries(model, _map_blocks(model, u, _stiffness, **options))
 
 
-def _stiffness(u, tet, symmetric, stepped):
-    u, before = u[:, :3], None if stepped is None else u[:, 3:]
-    K = element_stiffness(u, tet, before, stepped)
-    return tet.active * _kept(K, symmetric)
+def _stiffness(u, tet, symmetric):
+    return tet.active * _kept(newton_system(u, tet)[0], symmetric)
 
 
-def mixed_tangent(
-    model: Model, u: Nodal, theta: Float[Array, "n_blocks block"]
+def newton_terms(
+    model: Model, u: Nodal, strains: Strains, exact: Bool[Array, ""]
 ) -> tuple[Float[Array, " nnz"], Nodal]:
-    """Compute tangent and force of the Newton step with independent volume ratios."""
-    entries, forces = _map_blocks(
-        model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
-    )
+    """Compute tangent [N/m] and force [N] of a Newton step, see `newton_system`."""
+    options = {"exact": exact, "symmetric": model.pattern.symmetric}
+    entries, forces = _map_blocks(model, u, _newton_terms, strains, **options)
     return _add_entries(model, entries), _add_forces(model, forces)
 
 
-def _mixed_newton(u, tet, theta, symmetric):
-    K, f = mixed_newton(u, theta, tet)
+def _newton_terms(u, tet, strains, exact, symmetric):
+    K, f = newton_system(u, tet, strains, exact)
     return tet.active * _kept(K, symmetric), tet.active * f
 
 
@@ -208,18 +197,25 @@ def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
     return K.reshape(3 * n_en, -1)[p, q]
 
 
-def predicted_dilatation(
-    model: Model, u: Nodal, du: Nodal
-) -> Float[Array, "n_blocks block"]:
-    """Predict the volume ratio of each tet after a step: J_bar + dJ_bar du [-]."""
-    return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
+def no_strains(model: Model) -> Strains:
+    """Return the strains and stresses at rest."""
+    n_blocks, n_qp, _, _, block = model.shape_gradients.shape
+    one = jnp.eye(3)[None, None, :, :, None]
+    one = jnp.broadcast_to(one, (n_blocks, n_qp, 3, 3, block))
+    return Strains(one, jnp.zeros_like(one), one[:, 0, 0, 0])
 
 
-def _predicted_dilatation(both, tet):
-    u, du = both[:, :3], both[:, 3:]
-    J, dJ = jax.jvp(lambda u: mean_dilatation(u, tet), (u,), (du,))
-    # First order is meaningless where a step would invert a tet: limit to a factor 4.
-    return jnp.clip(J + dJ, 0.25, 4.0)
+def predict(
+    model: Model, u: Nodal, du: Nodal, strains: Strains, exact: Bool[Array, ""]
+) -> tuple[Strains, Bool[Array, ""]]:
+    """Predict strains and stresses after a step, see `predicted_strains`."""
+    both = jnp.concatenate([u, du], axis=1)
+    strains, sound = _map_blocks(model, both, _predicted, strains, exact=exact)
+    return strains, jnp.all(sound)
+
+
+def _predicted(both, tet, strains, exact):
+    return predicted_strains(both[:, :3], both[:, 3:], tet, strains, exact)
 
 
 def field_forces(

@@ -36,9 +36,6 @@ from softcal_jax.equilibrium._workers import Program, Workers
 
 STEPS_BETWEEN = 2  # Newton iterations of a configuration between two reports
 
-FROM_REST, AT_ONCE = 10, 8
-"""Newton iterations within which a step from rest, or a later one, must close in."""
-
 FORESEEN_S = 5.0
 """Time after which the share of the load predicts how long the rest takes [s]."""
 
@@ -208,20 +205,18 @@ class _Lanes:
         self._most, self._say = int(newton.max_steps), report or (lambda *_: None)
         steps = jnp.asarray(self._most if report is None else STEPS_BETWEEN)
         # It ends where the first step fails, in place of going back to rest.
-        at_once = replace(newton, smallest_load_step=1.0)
-        most = [min(int(newton.max_steps_per_load), n) for n in (FROM_REST, AT_ONCE)]
-        first, later = (replace(at_once, max_steps_per_load=n) for n in most)
-        self._from_anywhere, self._from_rest, self._at_once = (
+        at_once = replace(newton, smallest_load_step=1.0).as_arrays()
+        self._from_anywhere, self._at_once = (
             (
                 Program(begin_newton, model, settings),
                 Program(continue_newton, model, settings, steps),
             )
-            for settings in (settings, first.as_arrays(), later.as_arrays())
+            for settings in (settings, at_once)
         )
 
     def begin(self, c: int) -> tuple[NewtonState, EquilibriumSolution]:
         """Take the full load from rest in one step."""
-        begin, go_on = self._from_rest
+        begin, go_on = self._at_once
         (state,) = self.workers.map(begin, [(self.each[c], None)])
         return self._run(go_on, self.each[c], state, partial(self._say, c))
 

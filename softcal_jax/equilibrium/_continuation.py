@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._assembly import tangent_values
+from softcal_jax.equilibrium._assembly import no_strains, predict, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
     Residual,
@@ -28,9 +28,9 @@ from softcal_jax.equilibrium._balance import (
 from softcal_jax.equilibrium._direction import (
     Factor,
     Step,
-    dilatation,
     newton_direction,
 )
+from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
@@ -50,10 +50,7 @@ MOST_CHORDS = 3
 """Most chord steps that may remain at the last rate; else take a Newton step."""
 
 SHORT = 1e-3
-"""Relative residual below which the tangent is assembled without predicted stress.
-
-Newton's method converges quadratically there, and this tangent is cheaper.
-"""
+"""Relative residual below which strains and stresses are those of the displacement."""
 
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
@@ -66,11 +63,12 @@ of any data. Above this residual, the tangent is assembled once more at the end.
 class _Quick(NamedTuple):
     """State of the quick steps; nothing was solved before the first of them.
 
-    `residual` and `steps` are those of the last step that was taken. `before` is where
-    the last step began, or where it ended if the residual is small (`SHORT`), and
-    `sharp` tells whether that is below `SHARP`. `factor` belongs to the last Newton
-    step; with `chord` the next step reuses it. `arrived`: in equilibrium, but the
-    tangent may still be that of an earlier state; `converged`: and that step was taken.
+    `residual` and `steps` are those of the last step that was taken. `strains` are
+    those of the Newton step, unless `exact`: those of u if the residual is small
+    (`SHORT`). `sharp` tells whether it is below `SHARP`. `factor` belongs to the last
+    Newton step; with `chord` the next step reuses it. `arrived`: in equilibrium, but
+    the tangent may still be that of an earlier state; `converged`: and that step was
+    taken.
     """
 
     point: Point
@@ -79,7 +77,8 @@ class _Quick(NamedTuple):
     steps: Int[Array, ""]
     n_negative: Int[Array, ""]
     converged: Bool[Array, ""]
-    before: Nodal
+    strains: Strains
+    exact: Bool[Array, ""]
     sharp: Bool[Array, ""]
     factor: Factor
     chord: Bool[Array, ""]
@@ -174,8 +173,12 @@ class _QuickSteps(NamedTuple):
         usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
         lambda_a = estimated_forces(posed, point)
         no, count = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
-        before = held if before is None else before
         size = self.residual(point, lambda_a)
+        strains, exact = no_strains(self.model), ~no
+        if before is not None:
+            du = point.u - before
+            strains, sound = predict(self.model, before, du, strains, exact)
+            exact = (size <= SHORT) | ~sound
         return _Quick(
             point=point,
             lambda_a=lambda_a,
@@ -183,10 +186,13 @@ class _QuickSteps(NamedTuple):
             steps=count,
             n_negative=count,
             converged=no,
-            before=jnp.where(size <= SHORT, point.u, before),
+            strains=strains,
+            exact=exact,
             sharp=size <= SHARP,
             # Nothing yet, and not ok.
-            factor=zeros_of(lambda: self.newton_step(point, lambda_a, held, None)[1]),
+            factor=zeros_of(
+                lambda: self.newton_step(point, lambda_a, strains, exact, None)[1]
+            ),
             chord=no,
             arrived=no,
             done=~usable,
@@ -197,13 +203,15 @@ class _QuickSteps(NamedTuple):
         size = merit(self.posed, point, lambda_a, jnp.zeros_like(lambda_a))
         return relative(self.posed, point, size, jnp.zeros((), point.u.dtype)).size
 
-    def newton_step(self, point: Point, lambda_a, before, near) -> tuple[Step, Factor]:
+    def newton_step(
+        self, point: Point, lambda_a, strains, exact, near
+    ) -> tuple[Step, Factor]:
         direction = newton_direction(
             self.posed,
             point,
             lambda_a,
-            theta=dilatation(self.model, None, before, point.u - before),
-            before=before,
+            strains=strains,
+            exact=exact,
             placed=True,
             near=near,
         )
@@ -218,7 +226,9 @@ class _QuickSteps(NamedTuple):
     def step(self, s: _Quick) -> _Quick:
         """Take a Newton step, with a new factor unless `arrived`, or a chord step."""
         posed, rtol, last = self.posed, self.settings.rtol, s.residual
-        newton_step = lambda: self.newton_step(s.point, s.lambda_a, s.before, s.arrived)
+        newton_step = lambda: self.newton_step(
+            s.point, s.lambda_a, s.strains, s.exact, s.arrived
+        )
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
         else:
@@ -252,9 +262,12 @@ class _QuickSteps(NamedTuple):
         old = s.point, s.lambda_a, last, s.steps, s.n_negative, s.converged
         moved = new, new_lambda, residual, steps, factor.n_negative, arrived
         pick = lambda a, b: jnp.where(taken, a, b)
+        du = new.u - s.point.u
+        strains, fit = predict(self.model, s.point.u, du, s.strains, s.exact)
         return _Quick(
             *jax.tree.map(pick, moved, old),
-            before=jnp.where(taken & (size <= SHORT), new.u, s.point.u),
+            strains=strains,
+            exact=~taken | ~fit | (size <= SHORT),
             sharp=taken & (size <= SHARP),
             factor=factor,
             chord=taken & ~arrived & close,

@@ -12,11 +12,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
-from softcal_jax.equilibrium._assembly import (
-    mixed_tangent,
-    predicted_dilatation,
-    tangent_values,
-)
+from softcal_jax.equilibrium._assembly import newton_terms
 from softcal_jax.equilibrium._balance import (
     Point,
     System,
@@ -27,7 +23,7 @@ from softcal_jax.equilibrium._balance import (
     stiffness_of_gaps,
     unbalanced,
 )
-from softcal_jax.equilibrium._model import Model, Nodal
+from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
@@ -74,29 +70,22 @@ class NewtonDirection(NamedTuple):
     factor: Factor
 
 
-def dilatation(model: Model, theta, u, du):
-    """Update the volume ratios after a step; a no-op without volume unknowns."""
-    return predicted_dilatation(model, u, du) if model.has_volume_unknowns else theta
-
-
 def newton_direction(
     posed: Posed,
     point: Point,
     lambda_a: Float[Array, " n_a"],
     *,
-    theta=None,
-    strict=None,
-    before: Nodal | None = None,
+    strains: Strains,
+    exact: Bool[Array, ""],
     placed: bool = False,
     near: Bool[Array, ""] | None = None,
     tamed: bool | Bool[Array, ""] = False,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
-    The mixed formulation needs the volume ratios `theta`; if `strict` (only steps that
-    lower the potential are taken), the ratios at u replace them. `before`: see
-    `tangent_values`. `placed`: held nodes and bodies are known to be in place. `near`:
-    the tangent is near the last that was factorized. `tamed`: see `contact_stiffness`.
+    `strains`, and whether it is `exact` to take those of u: see `newton_system`.
+    `placed`: held nodes and bodies are known to be in place. `near`: the tangent is
+    near the last that was factorized. `tamed`: see `contact_stiffness`.
     """
     model, u = posed.model, point.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
@@ -104,14 +93,7 @@ def newton_direction(
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
-    if model.has_volume_unknowns:
-        assert theta is not None
-        if strict is not None:
-            at_u = dilatation(model, theta, u, jnp.zeros_like(u))
-            theta = jnp.where(strict, at_u, theta)
-        values, force = mixed_tangent(model, u, theta)
-    else:
-        values, force = tangent_values(model, u, before), point.force
+    values, force = newton_terms(model, u, strains, exact)
     options = {"mesh": values, "active": active, "tamed": tamed}
     tangent = assemble(posed, point, lambda_a, **options)
     # Held nodes that still have to move pull on the rest: - K du_held.

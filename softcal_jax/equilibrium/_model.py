@@ -123,8 +123,8 @@ class Model(Module):
         return self.solver.sparsity.symmetric
 
     @property
-    def has_volume_unknowns(self) -> bool:
-        """Whether Newton's method has a volume ratio of each tet beside u."""
+    def averages_volume(self) -> bool:
+        """Whether the volume ratio of points is replaced by the mean of their tet."""
         return self.formulation == "mean-dilatation" and self.weights.shape[1] > 1
 
     def with_law(self, law: AbstractLaw) -> "Model":

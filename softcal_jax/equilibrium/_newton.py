@@ -16,6 +16,7 @@ from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
+from softcal_jax.equilibrium._assembly import no_strains, predict
 from softcal_jax.equilibrium._balance import (
     Point,
     Residual,
@@ -25,7 +26,8 @@ from softcal_jax.equilibrium._balance import (
     merit,
     relative,
 )
-from softcal_jax.equilibrium._direction import dilatation, line_search, newton_direction
+from softcal_jax.equilibrium._direction import line_search, newton_direction
+from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 
@@ -37,6 +39,19 @@ In longer steps Newton's method spends more iterations on crushed tets than it s
 
 _NEAR = 1e-3
 """Residual relative to internal forces below which a step hardly moves the tangent."""
+
+SHARP = 1e-6
+"""Relative residual below which a step takes the strains of u.
+
+Further off, these spoil the steps of a nearly incompressible body.
+"""
+
+_PROBE = 0.05
+"""Load increment of a last, strict attempt that tells a limit point, if it fails [-].
+
+Closer to a limit point, iterates hardly lose stability; full steps further off do so
+for other reasons.
+"""
 
 _MOST = np.iinfo(np.int32).max  # largest number of iterations that can be counted
 
@@ -62,7 +77,7 @@ class NewtonSettings(Module):
     max_steps: Count = 200
     max_steps_per_load: Count = 20
     smallest_load_step: Number = 1e-3
-    strict_below: Number = 0.1
+    strict_below: Number = 0.01
     max_backtracks: Count = 12
 
     def __check_init__(self):
@@ -91,10 +106,11 @@ class NewtonSettings(Module):
 class NewtonState(NamedTuple):
     """State of the loop.
 
-    `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
-    volume ratios of the mixed Newton step; everything else, including the stopping
-    rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
-    `stray` is the displacement at which the load was last cut.
+    `ok` and `*_ok` belong to the last equilibrium on the load path. `strains` are
+    those of the Newton step; everything else, including the stopping rule, takes those
+    of u, and so does the first step at a load. `turned`: the last trial step inverted a
+    tet. `stray` is the displacement at which the load was last cut. `probing`: the last
+    attempt, see `_PROBE`.
     `lost` is the fewest negative eigenvalues of any unstable iterate at this load,
     `limit` the fewest at loads that count as beyond a limit point; 0 if all are stable.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
@@ -102,7 +118,7 @@ class NewtonState(NamedTuple):
     """
 
     point: Point
-    theta: Float[Array, "n_blocks block"]
+    strains: Strains
     lambda_a: Float[Array, " n_a"]
     ok: Point
     lambda_ok: Float[Array, " n_a"]
@@ -120,6 +136,7 @@ class NewtonState(NamedTuple):
     any_singular: Bool[Array, ""]
     turned: Bool[Array, ""]
     stray: Nodal
+    probing: Bool[Array, ""]
     result: RESULTS
     done: Bool[Array, ""]
 
@@ -144,7 +161,7 @@ class NewtonLoop:
         if not self.model.solver.counts_negative:
             # Full steps could end in an unstable state unnoticed.
             return jnp.ones((), bool)
-        return s.increment < self.settings.strict_below
+        return s.probing | (s.increment < self.settings.strict_below)
 
     @property
     def longest(self) -> Float[Array, ""]:
@@ -171,12 +188,13 @@ class NewtonLoop:
     def step(self, s: NewtonState) -> NewtonState:
         """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
+        exact = strict | (s.residual.size <= SHARP) | (s.step_in_load == 0)
         direction = newton_direction(
             posed,
             s.point,
             s.lambda_a,
-            theta=s.theta,
-            strict=strict,
+            strains=s.strains,
+            exact=exact,
             # Exact near the solution, where negative eigenvalues tell of stability.
             tamed=s.residual.size > _NEAR,
         )
@@ -213,12 +231,19 @@ class NewtonLoop:
         residual = _select(stay, s.residual, residual)
         tried = _select(stay, tried._replace(point=s.point, lambda_a=s.lambda_a), tried)
         u, du = s.point.u, tried.point.u - s.point.u
+        # Where the next step takes the strains of u, none are predicted.
+        strains, sound = jax.lax.cond(
+            strict | (residual.size <= SHARP),
+            lambda: (s.strains, jnp.ones((), bool)),
+            lambda: predict(self.model, u, du, s.strains, exact),
+        )
+        good = good & sound
         moved = s._replace(
             point=tried.point,
             lambda_a=tried.lambda_a,
             merit_before=self.remembered(before),
             residual=residual,
-            theta=dilatation(self.model, s.theta, u, du),
+            strains=strains,
         )
         settled = residual.settled(rtol)
         astray = settled & near & self.suspicious(s, tried.point.min_det_F)
@@ -241,7 +266,7 @@ class NewtonLoop:
         They may have jumped to a saddle, shown by negative eigenvalues, or past an
         inverted tet, which some laws survive.
         """
-        jumped = (det <= 0.0) & (s.increment >= self.settings.strict_below)
+        jumped = det <= 0.0
         if self.model.conservative:
             jumped = jumped | ((s.n_negative > 0) & ~self.strict(s))
         return jumped
@@ -263,6 +288,8 @@ class NewtonLoop:
             step_in_load=jnp.zeros_like(s.step),
             load_steps=s.load_steps + 1,
             lost=jnp.zeros_like(s.lost),
+            limit=jnp.zeros_like(s.limit),
+            probing=jnp.zeros((), bool),
             result=RESULTS.where(finished, outcome, RESULTS.max_steps),
             done=finished,
         )
@@ -272,28 +299,33 @@ class NewtonLoop:
 
         A load that is only a little higher and whose steps lose stability, but invert
         no tet, is beyond a limit point, even if the iterations end before the smallest
-        increment is tried.
+        increment is tried. Without such evidence, one larger increment is tried last.
         """
-        increment = 0.5 * s.increment
-        give_up = increment < self.settings.smallest_load_step
+        smallest = self.settings.smallest_load_step
+        last = 0.5 * s.increment < smallest
+        known = s.any_singular | s.turned | s.probing | (smallest >= _PROBE)
+        probing = last & ~known
+        give_up = (last & ~probing) | s.probing
+        increment = jnp.where(probing, _PROBE, 0.5 * s.increment)
         beyond = (s.lost > 0) & self.strict(s) & self.model.conservative & ~s.turned
         why = RESULTS.where(
             s.any_singular, RESULTS.singular, RESULTS.load_step_too_small
         )
         why = RESULTS.where(s.turned, RESULTS.inverted, why)
-        why = RESULTS.where(beyond, RESULTS.limit_point, why)
         so_far = RESULTS.where(beyond, RESULTS.limit_point, s.result)
+        limit = so_far == RESULTS.limit_point
+        why = RESULTS.where(limit, RESULTS.limit_point, why)
         return s._replace(
             point=s.ok,
             stray=s.point.u,
-            theta=dilatation(self.model, s.theta, s.ok.u, jnp.zeros_like(s.ok.u)),
             lambda_a=s.lambda_ok,
-            load=s.load_ok + increment,
+            load=jnp.minimum(s.load_ok + increment, 1.0),
             increment=increment,
             merit_before=self.remembered(jnp.inf),
             step_in_load=jnp.zeros_like(s.step),
             limit=jnp.where(beyond, _fewest(s.limit, s.lost), s.limit),
             lost=jnp.zeros_like(s.lost),
+            probing=probing,
             result=RESULTS.where(give_up, why, so_far),
             done=give_up,
         )
@@ -312,9 +344,9 @@ class NewtonLoop:
             point = _select(warm, guess, rest)
             load = jnp.where(warm, jnp.ones(()), load)
             lambda_a = jnp.where(warm, estimated_forces(self.posed, point), 0.0)
-        state = NewtonState(
+        return NewtonState(
             point=point,
-            theta=zero,
+            strains=no_strains(self.model),
             lambda_a=lambda_a,
             ok=rest,
             lambda_ok=jnp.zeros_like(lambda_a),
@@ -332,10 +364,10 @@ class NewtonLoop:
             any_singular=jnp.zeros((), bool),
             turned=jnp.zeros((), bool),
             stray=rest.u,
+            probing=jnp.zeros((), bool),
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )
-        return state._replace(theta=dilatation(self.model, zero, point.u, rest.u))
 
 
 def _fewest(old: Int[Array, ""], new: Int[Array, ""]) -> Int[Array, ""]:

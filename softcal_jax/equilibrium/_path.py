@@ -26,7 +26,7 @@ from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.configurations import Configuration, ConfigurationArrays
-from softcal_jax.equilibrium._assembly import mixed_tangent, tangent_values
+from softcal_jax.equilibrium._assembly import newton_terms, no_strains, predict
 from softcal_jax.equilibrium._balance import (
     Point,
     assemble,
@@ -38,10 +38,10 @@ from softcal_jax.equilibrium._balance import (
     stiffness_of_gaps,
     unbalanced,
 )
-from softcal_jax.equilibrium._direction import dilatation
 from softcal_jax.equilibrium._effectors import effector_values
+from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._newton import SHARP, NewtonSettings
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._sparsity import product
 
@@ -103,12 +103,14 @@ class EquilibriumPath(Module):
 class _State(NamedTuple):
     """A state on the path with its tangent, per unit of load.
 
-    `weight` is w of the module's docstring; `n_negative` as in `EquilibriumPath`, `ok`
-    whether the state is in equilibrium.
+    A step takes the `strains` or, if `exact`, those of u. `weight` is w of the module's
+    docstring; `n_negative` as in `EquilibriumPath`, `ok` whether the state is in
+    equilibrium.
     """
 
     u: Nodal
-    theta: Float[Array, "..."]
+    strains: Strains
+    exact: Bool[Array, ""]
     lambda_a: Float[Array, " n_a"]
     load: Float[Array, ""]
     du: Nodal
@@ -134,17 +136,16 @@ def _displaced(posed: Posed, u, d, load):
     return loaded.move(u, d.at[: u.size].add(held.ravel()))
 
 
-def _both_steps(posed: Posed, point: Point, lambda_a, theta):
+def _both_steps(posed: Posed, point: Point, lambda_a, strains, exact):
     """Solve for two rows: the steps that restore balance and that follow the load.
 
     Also returns the tangent, and the motion of held unknowns per unit of load.
     """
     model, configuration, u = posed.model, posed.configuration, point.u
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
-    if model.has_volume_unknowns:
-        mesh, internal = mixed_tangent(model, u, theta)
-    else:
-        mesh, internal = tangent_values(model, u), point.force
+    size = merit(posed, point, lambda_a, jnp.zeros_like(lambda_a))
+    exact = exact | (relative(posed, point, size, jnp.zeros(())).size <= SHARP)
+    mesh, internal = newton_terms(model, u, strains, exact)
     tangent = assemble(posed, point, lambda_a, mesh=mesh, active=active)
 
     def at_load(load):
@@ -167,7 +168,7 @@ def _both_steps(posed: Posed, point: Point, lambda_a, theta):
         ),
         jnp.stack([to_go[which], jnp.where(active[which], wanted, 0.0)]),
     )
-    return tangent, solved, held
+    return tangent, solved, held, exact
 
 
 def _readings(posed: Posed, u, lambda_a, unbalanced):
@@ -200,7 +201,9 @@ def _step(
     def correct(s: _State) -> _State:
         posed = full.at_load(s.load)
         point = evaluate(posed, s.u)
-        tangent, solved, held = _both_steps(posed, point, s.lambda_a, s.theta)
+        tangent, solved, held, exact = _both_steps(
+            posed, point, s.lambda_a, s.strains, s.exact
+        )
         off = merit(posed, point, s.lambda_a, stiffness_of_gaps(posed, solved.W_aa))
         residual = relative(posed, point, off, tangent.stiffness)
         apart = off_plane(s.u, s.load)
@@ -213,9 +216,11 @@ def _step(
         d_load = jnp.where(to_the_end, apart, (apart - shift) / slope)
         load = s.load + d_load
         u = _displaced(full, s.u, solved.x[0] + d_load * solved.x[1], load)
+        strains, sound = predict(model, s.u, u - s.u, s.strains, exact)
         moved = s._replace(
             u=u,
-            theta=dilatation(posed.model, s.theta, s.u, u - s.u),
+            strains=strains,
+            exact=~sound,
             lambda_a=s.lambda_a
             + model.among_all(solved.lambda_a[0] + d_load * solved.lambda_a[1]),
             load=jnp.where(to_the_end, 1.0, load),
@@ -241,9 +246,12 @@ def _step(
     share = jnp.where(to_the_end, 1.0 - old.load, ds * along)
     load = jnp.where(to_the_end, 1.0, old.load + share)
     u = _displaced(full, old.u, share * old.dx, load)
+    exact = jnp.ones((), bool)
+    strains, sound = predict(full.model, old.u, u - old.u, old.strains, exact)
     begun = old._replace(
         u=u,
-        theta=dilatation(full.model, old.theta, old.u, u - old.u),
+        strains=strains,
+        exact=~sound,
         lambda_a=old.lambda_a + share * old.d_lambda,
         load=load,
         iterations=jnp.zeros_like(old.iterations),
@@ -262,7 +270,8 @@ def _begin(
     no = jnp.zeros((), bool)
     state = _State(
         u=rest.u,
-        theta=dilatation(model.tabulated(), zero, rest.u, rest.u),
+        strains=no_strains(model),
+        exact=no,
         lambda_a=jnp.zeros(model.mechanism.n_actuators),
         load=zero,
         du=rest.u,

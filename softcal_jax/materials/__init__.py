@@ -32,6 +32,7 @@ from softcal_jax.materials._law import (
     AbstractLaw as AbstractLaw,
     fields_of_tets as fields_of_tets,
     split_law as split_law,
+    turned as turned,
     with_arrays as with_arrays,
     youngs_moduli as youngs_moduli,
 )

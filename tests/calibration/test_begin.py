@@ -86,7 +86,9 @@ def test_bounds_that_are_too_soft_are_named(progress):
     with pytest.raises(RuntimeError) as error:
         fitted(0.4, 0.5, equilibrium_progress=progress)
     text = str(error.value)
-    assert re.search("no equilibrium.*'pushed'.*law loses its stability.*51.* %", text, re.S)
+    assert re.search(
+        "no equilibrium.*'pushed'.*law loses its stability.*51.* %", text, re.S
+    )
     assert says(text, "stiffer moduli", "bounds", "E = 0.5 Pa")
     carried = float(text.split("pushed carries ")[1].split(" %")[0])
     assert carried == pytest.approx(100.0 * LIMIT * 0.5 / PUSH, abs=0.2)

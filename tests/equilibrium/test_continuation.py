@@ -27,10 +27,18 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
     tangent_values,
 )
+from softcal_jax.equilibrium._assembly import newton_terms, no_strains, predict
 from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS, SHARP
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
-from softcal_jax.equilibrium._sparsity import Sparsity
-from softcal_jax.materials import Corotational, Isotropic, StVenantKirchhoff
+from softcal_jax.equilibrium._sparsity import Sparsity, product
+from softcal_jax.materials import (
+    Corotational,
+    Fibre,
+    FibreReinforced,
+    Isotropic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
 from softcal_jax.mesh import TetMesh, beam
 
 MESH = beam(4.0, 1.0, 1.0, (4, 1, 1))
@@ -260,23 +268,91 @@ def test_a_long_step_of_a_slender_beam_is_closed_in_quick_steps():
 def test_the_tangent_keeps_the_stress_that_a_step_foresaw():
     """For St. Venant-Kirchhoff by hand: S is linear in E, and E quadratic in F.
 
-    K(u, before) - K(u) = -sum w (dN_a . D dN_b) I, D = C : dF^T dF / 2 of the step.
+    K(u, strains) - K(u) = -sum w (dN_a . D dN_b) I, D = C : dF^T dF / 2 of the step;
+    the force is that of u, since S(E) + C : (E(u) - E) = S(E(u)).
     """
     tet = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), np.arange(4)[None])
     model = build_model(tet, StVenantKirchhoff(Isotropic(1.0, 0.0)), density=1.0)
-    before, u = np.random.default_rng(0).normal(size=(2, 4, 3)) * 0.1
+    before, u = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4, 3)) * 0.1)
     change = (u - before)[1:].T - (u - before)[:1].T  # dF: the gradients are the axes
     D = 0.5 * change.T @ change  # without Poisson's ratio stress is E times strain
     dN = np.vstack([-np.ones(3), np.eye(3)])
     expected = -np.kron(dN @ D @ dN.T, np.eye(3)) / 6.0
     pattern = model.pattern
-    tangent = jax.jit(lambda *state: tangent_values(model, *state))
-    exact = np.asarray(tangent(u))
-    values = tangent(u, before) - exact
+    yes, no = jnp.ones((), bool), jnp.zeros((), bool)
+    strains, sound = predict(model, before, u - before, no_strains(model), yes)
+    assert bool(sound)
+    exact, force = newton_terms(model, u, strains, yes)
+    values, same_force = newton_terms(model, u, strains, no)
     ours = np.asarray(expected)[pattern.rows, pattern.indices]
-    np.testing.assert_allclose(values, ours, rtol=0, atol=1e-15)
-    # A step of no length foresees the stress that is there.
-    np.testing.assert_allclose(tangent(u, u), exact, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(values - exact, ours, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(same_force, force, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(exact, tangent_values(model, u), rtol=0, atol=1e-15)
+
+
+LAWS = {
+    "displacement": NeoHookean(1.0, 0.3),
+    "mean-dilatation": NeoHookean(1.0, 0.49),
+    "fibre": FibreReinforced(NeoHookean(1.0, 0.49), 5.0, Fibre(0.3, plane="xy")),
+}
+
+
+def turned_cube(name):
+    """A model of one cube, a large displacement, and a step."""
+    mesh = beam(1.0, 1.0, 1.0, (1, 1, 1), order=2)
+    formulation = "displacement" if name == "displacement" else "mean-dilatation"
+    model = build_model(mesh, LAWS[name], density=1.0, formulation=formulation)
+    rng = np.random.default_rng(1)
+    return model, *jnp.asarray(0.05 * rng.normal(size=(2, *mesh.points.shape)))
+
+
+def along(model, values, d):
+    return product(model.pattern, values, d.ravel()).reshape(d.shape)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_what_a_step_takes_of_strains_turns_with_the_body(name):
+    model, u, d = turned_cube(name)
+    x, no = jnp.asarray(model.mesh.points), jnp.zeros((), bool)
+    R, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
+    R = R * np.linalg.det(R)
+    turned = lambda u: (x + u) @ R.T - x
+    start, _ = predict(model, 0.0 * u, u, no_strains(model), no)
+    here, _ = predict(model, u, d, start, no)
+    there, _ = predict(model, turned(u), d @ R.T, start, no)
+    for ours, theirs in zip(there, here, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
+    values, force = newton_terms(model, u + d, here, no)
+    same, turned_force = newton_terms(model, turned(u + d), here, no)
+    np.testing.assert_allclose(turned_force, force @ R.T, rtol=0, atol=1e-12)
+    moved = along(model, values, d) @ R.T
+    ours = along(model, same, d @ R.T)
+    np.testing.assert_allclose(ours, moved, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_newton_step_balances_the_stress_that_it_predicts(name):
+    """The first row of the linear system of Hu and Washizu, with all unknowns.
+
+    Stiffness and force of a step d give B(u)^T S_new and the old stress on d.
+    """
+    model, u, d = turned_cube(name)
+    no = jnp.zeros((), bool)
+    strains, _ = predict(model, 0.0 * u, u, no_strains(model), no)
+    values, force = newton_terms(model, u, strains, no)
+    after, _ = predict(model, u, d, strains, no)
+    gradients = lambda u: jnp.einsum(
+        "baki,bqaJk->bqiJk", u[model.nodes], model.shape_gradients
+    )
+    F = gradients(u) + jnp.eye(3)[None, None, :, :, None]
+    P = jnp.einsum("bqiMk,bqMJk->bqiJk", F, after.stress)
+    P = P + jnp.einsum("bqiMk,bqMJk->bqiJk", gradients(d), strains.stress)
+    nodal = jnp.einsum("bqiJk,bqaJk->bkai", P, model.shape_gradients)
+    nodal = nodal * model.active[:, :, None, None]
+    nodes = jnp.moveaxis(model.nodes, 1, 2)
+    balanced = jnp.zeros_like(u).at[nodes].add(nodal)
+    foreseen = force + along(model, values, d)
+    np.testing.assert_allclose(foreseen, balanced, rtol=0, atol=1e-12)
 
 
 GUESSES = {

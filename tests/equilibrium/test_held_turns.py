@@ -20,7 +20,6 @@ from softcal_jax.equilibrium import (
     LoadPath,
     NewtonSettings,
     build_model,
-    check_converged,
     solve_equilibrium,
     trace_equilibria,
 )
@@ -141,17 +140,19 @@ def test_a_flat_strip_closes_to_a_ring():
     np.testing.assert_allclose(curve[:, 1], 0.0, atol=0.001 * LENGTH)
 
 
-def test_a_ring_of_a_square_rod_is_not_taken_for_solved():
-    """It swings about the tangent at its ends with no energy at all.
+def test_a_ring_of_a_square_rod_rests_where_its_mesh_has_it():
+    """It swings about the tangent at its ends with hardly any energy.
 
-    Every section rolls as the ring turns, and a square bends in all directions alike.
+    Every section rolls as the ring turns, and a square bends in all directions alike;
+    tets do not quite. The state found is stable, and the same from beside it.
     """
     solution = from_rest(1.0)
-    assert not bool(solution.converged)
-    assert np.isnan(solution.displacement).all()
-    assert float(solution.load_reached) > 0.95
-    with pytest.raises(RuntimeError, match=r"'ring': .*hardly any energy"):
-        check_converged(solution, ("ring",))
+    assert bool(solution.converged)
+    assert int(solution.n_negative) == 0
+    u = np.asarray(solution.displacement)
+    aside = u + np.outer(np.sin(np.linspace(0.0, 40.0, len(u))), [0.0, 1e-4, 0.0])
+    again, _ = solve(robot(), bent(1.0), jnp.asarray(aside), NewtonSettings())
+    np.testing.assert_allclose(again.displacement, u, rtol=0, atol=1e-9)
 
 
 def test_the_end_does_not_depend_on_the_path():

@@ -47,7 +47,7 @@ def lane():
 @pytest.fixture(scope="module")
 def path(lane):
     return trace_equilibria(
-        model(), lane, LoadPath(states=12, first=0.2), settings=TIGHT
+        model(), lane, LoadPath(states=18, first=0.2), settings=TIGHT
     )
 
 

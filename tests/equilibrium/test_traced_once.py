@@ -29,7 +29,7 @@ def plain_model():
 KERNELS = pytest.mark.parametrize(
     ("name", "assembled"),
     [
-        ("element_stiffness", assembly.tangent_values),
+        ("newton_system", assembly.tangent_values),
         ("element_energy_and_force", assembly.energy_and_force),
         ("element_energy_and_force", forces),
     ],
