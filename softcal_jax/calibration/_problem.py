@@ -62,7 +62,8 @@ class CalibrationSettings(Module):
             need not be halved again [-].
         adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
             learn the curvature of the errors. Without it, every step is that of the
-            linear model within a fixed bound, as in the paper.
+            linear model within a fixed bound, as in the paper, and a shorter one only
+            where it leads to no equilibrium.
     """
 
     tol: float = eqx.field(static=True, default=1e-6)

@@ -326,7 +326,7 @@ def decide(
 ) -> CalibrationState:
     """Accept a proposed step if it helps, and adapt the bound on the next."""
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
-    bound, curvature = state.step_bound, state.curvature
+    curvature, longest = state.curvature, settings.step_bound
     predicted = now.cost - proposal.cost
     gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
     reference = jnp.max(state.recent_costs)
@@ -338,10 +338,11 @@ def decide(
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
-        grown = jnp.minimum(2.0 * bound, jnp.maximum(bound, settings.max_step_bound))
-        grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
-        bound = jnp.where(accepted, grown, 0.25 * size)
+        bound = state.step_bound
+        longest = jnp.minimum(2.0 * bound, jnp.maximum(bound, settings.max_step_bound))
+        longest = jnp.where((gain > 0.75) & at_bound, longest, bound)
         curvature = _after(space, state, proposal, tried)
+    bound = jnp.where(accepted, longest, 0.25 * size)
     recent = jnp.roll(state.recent_costs, 1).at[0].set(tried.cost)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)

@@ -31,7 +31,7 @@ from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 
-_HELD_TURN = 0.5
+_HELD_TURN = 1.0
 """Longest rotation of a held body in one load step from rest [rad].
 
 In longer steps Newton's method spends more iterations on crushed tets than it saves.

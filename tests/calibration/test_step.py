@@ -355,6 +355,9 @@ def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
         settings = CalibrationSettings(adapt=adapt)
         after = decide(problem.space, settings, state, proposal, failed)
         assert not bool(after.accepted)
+        # Or the same step would be tried again, and fail again.
+        size = float(jnp.max(jnp.abs(proposal.qp.lambda_p)))
+        assert float(after.step_bound) == pytest.approx(0.25 * size)
 
 
 def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
