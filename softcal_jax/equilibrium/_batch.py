@@ -20,6 +20,7 @@ from softcal_jax.equilibrium._approach import (
     distances,
     unloaded,
 )
+from softcal_jax.equilibrium._assembly import tet_states
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
@@ -39,15 +40,19 @@ STEPS_BETWEEN = 2  # Newton iterations of a configuration between two reports
 FORESEEN_S = 5.0
 """Time after which the share of the load predicts how long the rest takes [s]."""
 
-Report = Callable[[int, float, int], None]
-"""Takes the index of a configuration, the share of its load, and its iterations."""
+_CUT = 1.0 / 8.0
+"""Share of what is left of the load down to which three cuts lead."""
+
+Report = Callable[[int, float, int, str], None]
+"""Takes the index of a configuration, the share of its load, its iterations, and what
+is hard about it, in words."""
 
 
 class EquilibriumProgress(NamedTuple):
     """Progress of an equilibrium from rest: Newton iterations and seconds so far.
 
     `load` is the share of the load that is carried, `stiffer` the factor on the moduli
-    of the start [-].
+    of the start [-], `trouble` what is hard about it, in words.
     """
 
     configuration: str
@@ -55,6 +60,7 @@ class EquilibriumProgress(NamedTuple):
     steps: int
     stiffer: float
     seconds: float
+    trouble: str = ""
 
     def __str__(self) -> str:
         """Write it in one line."""
@@ -64,7 +70,9 @@ class EquilibriumProgress(NamedTuple):
         )
         if self.stiffer > 1.0:
             text += f", moduli {self.stiffer:g} times the start"
-        if self.seconds > FORESEEN_S and 0.0 < self.load < 1.0:
+        if self.trouble:  # and the time that is left cannot be foreseen
+            text += f", {self.trouble}"
+        elif self.seconds > FORESEEN_S and 0.0 < self.load < 1.0:
             left = self.seconds * (1.0 - self.load) / self.load
             text += f", about {left:.0f} s left"
         return text
@@ -80,10 +88,10 @@ def reports_of(
         return None
     begun: dict[int, float] = {}
 
-    def report(c: int, load: float, steps: int) -> None:
+    def report(c: int, load: float, steps: int, trouble: str = "") -> None:
         now = time.monotonic()
         seconds = now - begun.setdefault(c, now)
-        progress(EquilibriumProgress(names[c], load, steps, factor, seconds))
+        progress(EquilibriumProgress(names[c], load, steps, factor, seconds, trouble))
 
     return report
 
@@ -199,6 +207,7 @@ class _Lanes:
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
         self._with_cause = partial(with_cause, model)
+        self._trouble = partial(_trouble, model)
         self._trace = lambda c: trace_equilibria(
             model, configurations[c], settings=newton, check=workers.check
         )
@@ -253,7 +262,7 @@ class _Lanes:
             return self._run(self._at_once[1], lane, state)[1]
 
         from_rest = not np.any(near.displacement)  # where `begin` has tried it
-        say = lambda share, steps: self._say(c, share, taken + steps)
+        say = lambda share, steps: self._say(c, share, taken + steps, "")
         for stops in ([self.each[c]], *detours(near.configuration, self.each[c])):
             end = approach(
                 at_once,
@@ -265,7 +274,7 @@ class _Lanes:
             )
             taken, led = taken + end.steps, max(led, end.share)
             if end.solution is not None:
-                self._say(c, 1.0, taken)
+                self._say(c, 1.0, taken, "")
                 return _with_steps(end.solution, taken)
         solution = self.solve(c, begun=begun, taken=taken - before)
         return eqx.tree_at(lambda s: s.approached, solution, jnp.asarray(led))
@@ -285,14 +294,26 @@ class _Lanes:
         go_on: Program,
         lane: ConfigurationArrays,
         state: NewtonState,
-        say: Callable[[float, int], None] = lambda *_: None,
+        say: Callable[[float, int, str], None] = lambda *_: None,
     ) -> tuple[NewtonState, EquilibriumSolution]:
         """Iterate until Newton's method is done, or out of steps."""
         while True:
             ((state, solution),) = self.workers.map(go_on, [(lane, state)])
-            say(float(state.load_ok), int(state.step))
+            say(float(state.load_ok), int(state.step), self._trouble(state))
             if bool(state.done) or int(state.step) >= self._most:
                 return state, solution
+
+
+def _trouble(model: Model, state: NewtonState) -> str:
+    """Say where the body resists, after three cuts of the load."""
+    if not 0.0 < float(state.increment) <= _CUT * (1.0 - float(state.load_ok)):
+        return ""
+    det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)
+    x, y, z = 1e3 * model.mesh.centroids[np.argmin(det)]
+    return (
+        f"load steps cut to {100.0 * float(state.increment):.2g} % (tets at "
+        f"({x:.3g}, {y:.3g}, {z:.3g}) mm deform most)"
+    )
 
 
 def _with_steps(solution: EquilibriumSolution, steps: int) -> EquilibriumSolution:

@@ -295,7 +295,7 @@ def newton_system(
     at u, as they are where E = E(u).
     """
     F = deformation_gradients(u, tet.dN)
-    if strains is None:
+    if strains is None or exact is None:
         at = _response(F, tet)
     else:
         F0 = jnp.where(exact, F, strains.stretch)
@@ -402,7 +402,7 @@ def _turned(at: _Response, F: Float[Array, "n_qp 3 3"], strains: Strains) -> _Re
     gap = _product(_transposed(inverse), gap)
     by_gap = jnp.einsum("qiJkL,qkL->qiJ", at.tangent, gap)
     S, pairs = _product(inverse, at.stress), at.pairs
-    if pairs is not None:
+    if pairs is not None and at.by_volume is not None:
         by_gap = by_gap + pairs.along(gap) + at.by_volume
         pairs = _Pairs(*(_product(turn, each) for each in pairs))
     stress = S + _product(inverse, by_gap - _product(gap, S))
