@@ -60,19 +60,30 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
     with with_remedy(f"{path} cannot be written", "give another file"):
         check_place(path)
         lock = path.with_name(path.name + ".lockfile")  # no other name is longer
-        with ExitStack() as opened:
-            file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-            opened.callback(os.close, file)
-            if not _locked(file, lock):
-                raise BlockingIOError(
-                    f"another {program} is writing to {path}: wait until it has ended, "
-                    "or give another file."
-                )
-            opened.callback(_remove, lock)
-            os.write(file, bytes(512))  # a full disk has room for an empty file alone
-            held = opened.pop_all()
+        held = locked(
+            lock,
+            f"another {program} is writing to {path}: wait until it has ended, or give "
+            "another file.",
+        )
     with held:
         yield
+
+
+def locked(lock: Path, busy: str) -> ExitStack:
+    """Lock a file, which is made for this, until the stack is closed.
+
+    Raises:
+        BlockingIOError: With the text `busy`, if another process holds the lock.
+        OSError: If the place cannot be written.
+    """
+    with ExitStack() as opened:
+        file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        opened.callback(os.close, file)
+        if not _locked(file, lock):
+            raise BlockingIOError(busy)
+        opened.callback(_remove, lock)
+        os.write(file, bytes(512))  # a full disk has room for an empty file alone
+        return opened.pop_all()
 
 
 def _locked(file: int, lock: Path) -> bool:

@@ -420,7 +420,7 @@ def test_a_page_of_the_user_is_not_replaced(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text('{"files": []}')
     (tmp_path / "out" / "report.html").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"report\.html"):
+    with pytest.raises(FileExistsError, match=r"earlier results"):
         write_results(make_result(), tmp_path / "out", force=True)
     assert (tmp_path / "out" / "report.html").read_text() == "mine"
 

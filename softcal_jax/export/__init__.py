@@ -8,6 +8,7 @@ from softcal_jax._units import (
 from softcal_jax.export._csv import write_csv as write_csv
 from softcal_jax.export._folder import (
     check_results_folder as check_results_folder,
+    complete_results as complete_results,
     file_stems as file_stems,
     results_folder as results_folder,
 )

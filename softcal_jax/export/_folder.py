@@ -1,5 +1,6 @@
 """A results folder that appears whole or not at all."""
 
+import hashlib
 import json
 import os
 import re
@@ -9,19 +10,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from softcal_jax._places import with_remedy
+from softcal_jax._files import sha256_of
+from softcal_jax._names import listed
+from softcal_jax._places import locked, with_remedy
 
-INDEX_FILES = (
-    "result.json",
-    "simulation.json",
-    "identifiability.json",
-    "comparison.json",
-    "inverse.json",
-    "robot.json",
-    "design.json",
-    "icesl.json",
-)
-"""Files that mark a results folder; their `files` list what softcal_jax wrote."""
+STAMP = ".softcal-files"
+"""File of a results folder that lists the others as they were written."""
+
+_FORMAT = "softcal_jax.files/1"
+_REPLACED = ".replaced"  # earlier results, while others take their place
 
 _REMEDY = "choose another folder"
 
@@ -55,19 +52,18 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
     """Raise unless results can be written to a folder; call it before a long run.
 
     Raises:
-        FileExistsError: If it is a file; or if it is not empty, and `force` is off or
-            it is not a results folder. Nothing but earlier results is ever replaced.
+        FileExistsError: If it is a file; or if it is not empty, and `force` is off, it
+            is not a results folder, or a user has changed one of the results. Nothing
+            but earlier results is ever replaced.
+        BlockingIOError: If another process is writing results there.
         OSError: If nothing can be written there; the text says why.
     """
-    directory = Path(directory)
-    with with_remedy(f"no results can be written to {directory}", _REMEDY):
-        _check_contents(directory, force=force)
-        with _partial_folder(directory.resolve()):
-            if directory.exists():
-                tempfile.TemporaryFile(dir=directory).close()
-            else:
-                directory.mkdir()
-                directory.rmdir()
+    with _partial_folder(Path(directory), force=force) as (_, directory):
+        if directory.exists():
+            tempfile.TemporaryFile(dir=directory).close()
+        else:
+            directory.mkdir()
+            directory.rmdir()
 
 
 def _check_contents(directory: Path, *, force: bool) -> None:
@@ -81,50 +77,98 @@ def _check_contents(directory: Path, *, force: bool) -> None:
             f"the folder {directory} is not empty. Choose another one, or replace the "
             "results in it with --force (force=True)."
         )
-    if not _earlier_files(directory):
+    written = _written(directory)
+    if not written:
         raise FileExistsError(
-            f"the folder {directory} does not hold earlier results of softcal_jax "
-            f"({', '.join(INDEX_FILES)}), so nothing in it is replaced. Choose "
-            "another folder, or empty it yourself."
+            f"the folder {directory} does not hold earlier results of softcal_jax: no "
+            f"{STAMP} in it lists them. So nothing in it is replaced. Choose another "
+            "folder, or empty it yourself."
+        )
+    changed = [name for name, same in written.items() if not same]
+    if changed:
+        raise FileExistsError(
+            f"the folder {directory} holds files that changed since softcal_jax wrote "
+            f"them ({listed(changed)}), so nothing in it is replaced. Move or rename "
+            "these, or choose another folder."
         )
 
 
 @contextmanager
-def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """Make a temporary folder whose files move into `directory` at the end.
+def results_folder(
+    directory: str | Path, *, force: bool = False, replaceable: bool = True
+) -> Iterator[Path]:
+    """Make a temporary folder which becomes `directory` at the end, whole.
 
-    If the block raises, the temporary folder is removed and earlier results stay as
-    they were. With `force` earlier results are replaced, but not files of the user.
-    Missing parents are created.
+    A new folder appears by a single renaming. In one that is there already the files
+    are moved one by one, so that files of a user and the working folder of a shell
+    stay. If the block raises, the temporary folder is removed and earlier results stay
+    as they were; what a killed process has left is completed, or removed if it was not
+    written yet, by the next call of these functions. Missing parents are created.
+
+    Args:
+        directory: The folder.
+        force: Replace earlier results, but not files of the user.
+        replaceable: Whether `force` may replace what is written now, some day: the file
+            ".softcal-files" lists results with their size and SHA-256.
 
     Raises:
         FileExistsError: As `check_results_folder`, or if a foreign file would be
             overwritten.
+        BlockingIOError: If another process is writing results there.
         OSError: If the files cannot be written; the text says why.
     """
-    directory = Path(directory).resolve()
-    with with_remedy(f"no results can be written to {directory}", _REMEDY):
-        _check_contents(directory, force=force)
-        with _partial_folder(directory) as partial:
-            yield partial
-            _move_into_place(partial, directory)
+    with _partial_folder(Path(directory), force=force) as (partial, directory):
+        yield partial
+        if replaceable:
+            files = {path.name: _stamp(path) for path in sorted(partial.iterdir())}
+            text = json.dumps({"format": _FORMAT, "files": files}, indent=2)
+            (partial / STAMP).write_text(f"{text}\n", encoding="utf-8")
+        _move_into_place(partial, directory)
+
+
+def complete_results(directory: Path) -> None:
+    """Move results into place that a killed process has left complete beside it."""
+    with suppress(OSError):  # such as a disk that cannot be written
+        if _lock(directory.resolve()).exists():
+            with _partial_folder(directory, force=True):
+                pass
+
+
+def _lock(directory: Path) -> Path:
+    """Return the file, beside a folder, that a process locks to write the folder."""
+    # Not named after the folder, whose name may be as long as a name can be.
+    mark = hashlib.sha256(os.fsencode(directory.name)).hexdigest()[:16]
+    return directory.parent / f".softcal.{mark}.lock"
 
 
 @contextmanager
-def _partial_folder(directory: Path) -> Iterator[Path]:
-    """Make a temporary folder beside a path, and the missing parents of the path.
+def _partial_folder(directory: Path, *, force: bool) -> Iterator[tuple[Path, Path]]:
+    """Make a folder beside another one, and missing parents; yield both, as absolute.
 
-    At the end, new parents that are still empty are removed, too.
+    One process at a time has it. At the end, new parents that are still empty are
+    removed, too.
     """
-    with ExitStack() as made:
+    refused = f"no results can be written to {directory}"
+    directory = directory.resolve()
+    with with_remedy(refused, _REMEDY), ExitStack() as made:
         for parent in reversed(directory.parents):
             if not parent.exists():
                 parent.mkdir()
                 made.callback(_remove_empty, parent)
-        # Not named after the folder, whose name may be as long as a name can be.
-        partial = Path(tempfile.mkdtemp(prefix=".softcal.", dir=directory.parent))
-        made.callback(shutil.rmtree, partial, ignore_errors=True)
-        yield partial
+        busy = (
+            f"another process is writing results to {directory}: wait until it has "
+            f"ended, or {_REMEDY}."
+        )
+        lock = _lock(directory)
+        made.enter_context(locked(lock, busy))
+        partial = lock.with_suffix(".partial")
+        if _written(partial):
+            _move_into_place(partial, directory)
+        _discard(partial)
+        _check_contents(directory, force=force)
+        partial.mkdir()
+        made.callback(_discard, partial)
+        yield partial, directory
 
 
 def _remove_empty(folder: Path) -> None:
@@ -132,34 +176,53 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _earlier_files(directory: Path) -> set[str]:
-    """List the files of earlier results, as their index files name them."""
-    named: set[str] = set()
-    for index in INDEX_FILES:
-        with suppress(OSError, ValueError, KeyError, TypeError):  # no index of ours
-            data = json.loads((directory / index).read_text(encoding="utf-8"))
-            named |= {index, *data["files"]}
-    # Ignore names that lead out of the folder, whatever the index says.
-    return {n for n in named if Path(n).name == n and (directory / n).is_file()}
+def _discard(partial: Path) -> None:
+    # First the stamp, without which a part of the files does not count as results.
+    (partial / STAMP).unlink(missing_ok=True)
+    shutil.rmtree(partial, ignore_errors=True)
+
+
+def _stamp(file: Path) -> dict[str, int | str]:
+    return {"size": file.stat().st_size, "sha256": sha256_of(file)}
+
+
+def _written(folder: Path) -> dict[str, bool]:
+    """Tell which files of a folder softcal_jax wrote, and if they are still the same.
+
+    The list of them counts as one of them. Names that lead out of the folder are
+    ignored, whatever the list says.
+    """
+    files = {}
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        data = json.loads((folder / STAMP).read_text(encoding="utf-8"))
+        if data["format"] == _FORMAT:
+            files = {STAMP: None, **data["files"]}
+    return {
+        name: name == STAMP or _stamp(folder / name) == stamp
+        for name, stamp in files.items()
+        if Path(name).name == name and (folder / name).is_file()
+    }
 
 
 def _move_into_place(partial: Path, directory: Path) -> None:
-    # Move single files, so that a shell whose working folder this is keeps it.
-    new = sorted(path.name for path in partial.iterdir())
-    old = _earlier_files(directory)
+    if not directory.exists():
+        os.rename(partial, directory)
+        return
+    # The list is the last to go and to come: where this is cut short, the files that
+    # are left are still known, here by the old list and in `partial` by the new one.
+    last = lambda name: (name == STAMP, name)
+    new = sorted({path.name for path in partial.iterdir()} - {_REPLACED}, key=last)
+    old = sorted((name for name, same in _written(directory).items() if same), key=last)
     foreign = [n for n in new if (directory / n).exists() and n not in old]
     if foreign:
         raise FileExistsError(
             f"{directory / foreign[0]} is not part of the earlier results and would be "
             "overwritten. Move it away, or choose another folder."
         )
-    backup = partial / ".replaced"
-    backup.mkdir()
+    backup = partial / _REPLACED
+    backup.mkdir(exist_ok=True)
     with ExitStack() as undo:
-        if not directory.exists():
-            directory.mkdir()
-            undo.callback(directory.rmdir)
-        for name in sorted(old):
+        for name in old:
             os.replace(directory / name, backup / name)
             undo.callback(os.replace, backup / name, directory / name)
         for name in new:

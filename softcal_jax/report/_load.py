@@ -18,7 +18,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import RESULT_FORMAT, solver_dict
+from softcal_jax.export import RESULT_FORMAT, complete_results, solver_dict
 from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Estimate
@@ -162,6 +162,7 @@ def load_result(
 def result_path(path: str | os.PathLike[str]) -> Path:
     """Return the path of `result.json`, given it or its folder."""
     path = Path(path)
+    complete_results(path.parent if path.name == RESULT else path)
     return path / RESULT if path.is_dir() else path
 
 

@@ -105,7 +105,8 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
     assert [row[0] for row in page.tables["Files"]] == data["files"]
     assert "command.vtu" in data["files"]
     assert set(data["files"]) == {path.name for path in folder.iterdir()} - {
-        "inverse.json"
+        "inverse.json",
+        ".softcal-files",
     }
 
 

@@ -2,27 +2,28 @@ import errno
 import json
 import os
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
-from softcal_jax.export import check_results_folder, results_folder
+from softcal_jax.export import check_results_folder, complete_results, results_folder
+
+LIST = ".softcal-files"
 
 
 def write(folder, **texts):
-    """Files `name.txt` with texts, and the index that lists them."""
+    """Files `name.txt` with texts."""
     for name, text in texts.items():
         (folder / f"{name}.txt").write_text(text)
-    files = [f"{name}.txt" for name in texts]
-    (folder / "result.json").write_text(json.dumps({"files": files}))
 
 
 def contents(folder):
-    """Texts of all files below a folder but the index, by name."""
+    """Texts of all files below a folder but the list of them, by name."""
     return {
         str(path.relative_to(folder)): path.read_text()
         for path in folder.rglob("*")
-        if path.is_file() and path.name != "result.json"
+        if path.is_file() and path.name != LIST
     }
 
 
@@ -101,7 +102,7 @@ def test_a_move_that_fails_is_undone(tmp_path, monkeypatch, fails_at):
     """Three files move out and four move in; any of the moves may fail."""
     with results_folder(tmp_path / "a") as folder:
         write(folder, one="1", two="2")
-    index = (tmp_path / "a" / "result.json").read_text()
+    files = (tmp_path / "a" / LIST).read_text()
     moves = []
     replace = os.replace
 
@@ -118,19 +119,67 @@ def test_a_move_that_fails_is_undone(tmp_path, monkeypatch, fails_at):
     ):
         write(folder, one="new", two="new", another="new")
     assert contents(tmp_path) == {"a/one.txt": "1", "a/two.txt": "2"}
-    assert (tmp_path / "a" / "result.json").read_text() == index
+    assert (tmp_path / "a" / LIST).read_text() == files
 
 
-def test_force_does_not_touch_what_is_not_ours(tmp_path):
-    (tmp_path / "home").mkdir()
-    (tmp_path / "home" / "thesis.tex").write_text("years of work")
-    with pytest.raises(FileExistsError, match=r"home .*earlier results"):
-        check_results_folder(tmp_path / "home", force=True)
-    # An index of another program, or a broken one, does not count.
-    for text in ("{", "[]", '{"files": 3}', '{"other": []}'):
-        (tmp_path / "home" / "result.json").write_text(text)
-        with pytest.raises(FileExistsError, match=r"home .*earlier results"):
-            check_results_folder(tmp_path / "home", force=True)
+FORMAT = "softcal_jax.files/1"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("result.json", '{"files": ["thesis.tex"]}'),
+        ("result.json", '{"files": [1]}'),
+        (LIST, "{"),
+        (LIST, "[]"),
+        (LIST, "[" * 100_000),
+        (LIST, "\xff"),
+        (LIST, '{"files": {"thesis.tex": {}}}'),
+        (LIST, json.dumps({"format": FORMAT})),
+        (LIST, json.dumps({"format": FORMAT, "files": 3})),
+        (LIST, json.dumps({"format": FORMAT, "files": ["thesis.tex"]})),
+        (LIST, json.dumps({"format": FORMAT, "files": {"thesis.tex": 1}})),
+        (LIST, json.dumps({"format": FORMAT, "files": {"thesis.tex": {"size": 13}}})),
+    ],
+)
+def test_force_does_not_touch_what_is_not_ours(tmp_path, name, text):
+    """Whatever the index or the list of another program says, or a broken one."""
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "thesis.tex").write_text("years of work")
+    (home / name).write_text(text, encoding="latin-1")
+    with pytest.raises(FileExistsError, match=r"home "):
+        check_results_folder(home, force=True)
+    with (
+        pytest.raises(FileExistsError, match=r"home "),
+        results_folder(home, force=True) as folder,
+    ):
+        write(folder, one="1")
+    assert (home / "thesis.tex").read_text() == "years of work"
+    assert (home / name).read_text(encoding="latin-1") == text
+    assert len(list(tmp_path.rglob("*"))) == 3
+
+
+def test_force_does_not_remove_what_a_user_changed(tmp_path):
+    with results_folder(tmp_path / "a") as folder:
+        write(folder, one="1", two="2", three="3")
+    before = contents(tmp_path) | {"a/two.txt": "mine"}
+    (tmp_path / "a" / "two.txt").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"\ba .*changed.*\(two\.txt\)"):
+        check_results_folder(tmp_path / "a", force=True)
+    assert contents(tmp_path) == before
+    (tmp_path / "a" / "two.txt").rename(tmp_path / "a" / "mine.txt")
+    with results_folder(tmp_path / "a", force=True) as folder:
+        write(folder, two="new")
+    assert contents(tmp_path) == {"a/two.txt": "new", "a/mine.txt": "mine"}
+
+
+def test_force_takes_no_files_that_were_not_written_as_results(tmp_path):
+    """Like the project and the data of `softcal new`."""
+    with results_folder(tmp_path / "a", replaceable=False) as folder:
+        write(folder, project="mine")
+    with pytest.raises(FileExistsError, match=r"\ba .*earlier results"):
+        check_results_folder(tmp_path / "a", force=True)
 
 
 def test_force_does_not_overwrite_a_users_file(tmp_path):
@@ -145,14 +194,91 @@ def test_force_does_not_overwrite_a_users_file(tmp_path):
     assert contents(tmp_path) == {"a/one.txt": "1", "a/two.txt": "mine"}
 
 
-def test_an_index_cannot_point_out_of_the_folder(tmp_path):
+def test_a_list_cannot_point_out_of_the_folder(tmp_path):
     (tmp_path / "outside.txt").write_text("mine")
     with results_folder(tmp_path / "a") as folder:
-        write(folder, one="1")
-    (tmp_path / "a" / "result.json").write_text('{"files": ["../outside.txt"]}')
+        write(folder, one="mine")
+    path = tmp_path / "a" / LIST
+    path.write_text(path.read_text().replace("one.txt", "../outside.txt"))
     with results_folder(tmp_path / "a", force=True) as folder:
         write(folder, two="2")
     assert (tmp_path / "outside.txt").read_text() == "mine"
+
+
+def test_the_second_of_two_into_one_new_folder_is_told(tmp_path):
+    """At its end, if both began at once; and before, if the first is writing."""
+    target = tmp_path / "a"
+    for _ in range(2):
+        check_results_folder(target)
+    with results_folder(target) as folder:
+        write(folder, one="first")
+        with pytest.raises(BlockingIOError, match=r"another process .*\ba: wait"):
+            check_results_folder(target, force=True)
+    with (
+        pytest.raises(FileExistsError, match=r"\ba .*not empty"),
+        results_folder(target) as folder,
+    ):
+        write(folder, one="second")
+    assert contents(tmp_path) == {"a/one.txt": "first"}
+
+
+def kept_at_each_moment(monkeypatch, work, kept):
+    """Before each change of the disk, copy what a process that is killed would leave.
+
+    Returns the copies, a list that grows.
+    """
+    copies = []
+
+    def watched(owner, name):
+        really = getattr(owner, name)
+
+        def watch(*args, **more):
+            copies.append(kept / str(len(copies)))
+            copytree(work, copies[-1])
+            return really(*args, **more)
+
+        monkeypatch.setattr(owner, name, watch)
+
+    copytree = shutil.copytree
+    for owner, name in ((os, "replace"), (os, "rename"), (shutil, "rmtree")):
+        watched(owner, name)
+    for name in ("write_text", "unlink", "mkdir"):
+        watched(Path, name)
+    return copies
+
+
+NEW = {"a/one.txt": "new", "a/two.txt": "new", "a/another.txt": "new"}
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_killed_process_leaves_results_whole_or_not_at_all(
+    tmp_path, monkeypatch, earlier
+):
+    """Whoever looks next finds the old ones or the new ones, and can replace them."""
+    target, old = tmp_path / "work" / "a", {}
+    target.parent.mkdir()
+    if earlier:
+        with results_folder(target) as folder:
+            write(folder, one="1", two="2", left_out="3")
+        (target / "notes.md").write_text("mine")
+        old = contents(target.parent)
+    with monkeypatch.context() as watched:
+        copies = kept_at_each_moment(watched, target.parent, tmp_path / "kept")
+        with results_folder(target, force=True) as folder:
+            write(folder, one="new", two="new", another="new")
+    notes = {name: old[name] for name in old if "notes" in name}
+    seen = []
+    for copy in copies:
+        if not earlier:  # a folder is renamed once
+            assert contents(copy / "a") in ({}, contents(target))
+        complete_results(copy / "a")
+        seen.append(contents(copy))
+        assert seen[-1] in (old, NEW | notes)
+        with results_folder(copy / "a", force=True) as folder:
+            write(folder, last="new")
+        assert contents(copy) == {"a/last.txt": "new"} | notes
+    assert old in seen
+    assert NEW | notes in seen
 
 
 def test_a_file_is_no_folder(tmp_path):

@@ -49,7 +49,7 @@ def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
     source = ready_made_path(name).parent
     files = sorted(path for path in source.iterdir() if path.is_file())
     _check_absent(folder)
-    with results_folder(folder) as made:
+    with results_folder(folder, replaceable=False) as made:
         for file in files:
             shutil.copyfile(file, made / file.name)
     return tuple(file.name for file in files)
@@ -88,7 +88,7 @@ def propose_project(
     if recordings:
         recorded = read_recorded(recordings, float(np.ptp(body.mesh.points, 0).max()))
     findings = _find(model, body, recorded)
-    with results_folder(folder) as made:
+    with results_folder(folder, replaceable=False) as made:
         for file in (model, *recordings):
             if file is not model or findings.model == model.name:
                 shutil.copyfile(file, made / file.name)
