@@ -30,14 +30,14 @@ within a hundredth of its `std`; measured values are not goals. A pose of a fram
 inline table, --goal sensor='{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'.
 
 exit codes: 0 all goals are met, 1 some are not (the nearest point is written), or no
-equilibrium, 2 bad input
+equilibrium, 2 bad input, 130 interrupted (the best actuation so far is written)
 """
 
 
 def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
-    from softcal_jax.control import ControlSettings, solve_inverse
+    from softcal_jax.control import OUTCOMES, ControlSettings, solve_inverse
     from softcal_jax.export import Made
     from softcal_jax.project import inverse_as_typed
 
@@ -84,7 +84,9 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     )
     cli.write_results(write, args, show, index="inverse.json")
     if not result.met:
-        raise cli.Stop(cli.NOT_CONVERGED, result.message)
+        interrupted = result.outcome == OUTCOMES.interrupted
+        code = cli.INTERRUPTED if interrupted else cli.NOT_CONVERGED
+        raise cli.Stop(code, result.message)
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:

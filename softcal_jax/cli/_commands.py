@@ -164,10 +164,14 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
         printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
-        written = export_icesl(ordered, args.output / "icesl", **printed)
+        with cli.bad_input():
+            written = export_icesl(ordered, args.output / "icesl", **printed)
         show.line(f"To print it: {written.directory / 'robot.lua'}, for IceSL.")
     if result.fit.interrupted:
-        text = "interrupted: the design is that of the last step."
+        text = (
+            "interrupted: the design is that of the last step, and what was to follow "
+        )
+        text += "is left out."
         raise cli.Stop(cli.INTERRUPTED, text)
     if not result.met:
         raise cli.Stop(cli.NOT_CONVERGED, result.headline)

@@ -100,11 +100,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return cli.OK
     except cli.Stop as stop:
         text, code = str(stop), stop.code
-    except KeyboardInterrupt:
-        stands, code = cli.checkpoint_stands(args), cli.INTERRUPTED
-        text = "interrupted; nothing was written."
-        if stands:
-            text = f"interrupted. {stands}"
+    except KeyboardInterrupt as stop:
+        kept = " ".join(filter(None, (str(stop), cli.checkpoint_stands(args))))
+        text = f"interrupted. {kept}" if kept else "interrupted; nothing was written."
+        code = cli.INTERRUPTED
     display.failure(text, code)
     errors = _display.PlainConsole(stderr=True)
     errors.print(text, markup=False, highlight=False, soft_wrap=True)

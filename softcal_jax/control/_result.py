@@ -29,6 +29,7 @@ class OUTCOMES(eqx.Enumeration):
         "may jump there, or newton.rtol be too coarse"
     )
     max_steps = "the search did not end within max_steps; raise it"
+    interrupted = "the search was interrupted; this is the best actuation so far"
     no_equilibrium = "the start has no equilibrium; start from another actuation"
     singular = (
         "the tangent at the start is singular: something moves freely or loses its "

@@ -149,40 +149,47 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
 
     With `explore` it stops once steps hardly come closer any more. Near a goal that is
     met, the error falls tenfold with each step; at a fold of the map from inputs to
-    effectors, most steps are spent on the last digits of a minimum.
+    effectors, most steps are spent on the last digits of a minimum. A KeyboardInterrupt
+    carries the descent so far.
     """
     arrival, linear, decision, outcome, records = start
     settings, records = command.settings, list(records)
-    while outcome is None and not (explore and _slow(records)):
-        assert linear is not None
-        qp = limited_step(linear, jnp.asarray(decision.step_bound))
-        step = np.asarray(qp.lambda_p)
-        equilibrium = moved(command, arrival, step * linear.scale)
-        tried, before = NOWHERE, decision
-        if equilibrium.solution.converged:
-            room = follow_room(command, equilibrium.state, linear.length)
-            off = all_errors(command, equilibrium.state, linear.energy)
-            tried = parts(room, off)
-        decision = decide(linear, qp, tried, before, settings)
-        if decision.accepted:
-            candidate = differentiated(command, equilibrium)
-            if candidate.stands:
-                arrival = candidate
-                linear = linearise(command, arrival.value, arrival.compliance)
-            else:
-                # A singular equilibrium counts as none: no step leads on from it.
-                decision = decide(linear, qp, NOWHERE, before, settings)
-        records.append(
-            StepRecord(
-                size=float(np.abs(step).max()),
-                cost=0.5 * float((linear.error**2).sum()),
-                violation=violation(linear.b),
-                kkt_residual=float(qp.kkt_residual),
-                newton_steps=int(equilibrium.solution.steps),
-                accepted=decision.accepted,
+    try:
+        while outcome is None and not (explore and _slow(records)):
+            assert linear is not None
+            qp = limited_step(linear, jnp.asarray(decision.step_bound))
+            step = np.asarray(qp.lambda_p)
+            equilibrium = moved(command, arrival, step * linear.scale)
+            tried, before = NOWHERE, decision
+            if equilibrium.solution.converged:
+                room = follow_room(command, equilibrium.state, linear.length)
+                off = all_errors(command, equilibrium.state, linear.energy)
+                tried = parts(room, off)
+            decision = decide(linear, qp, tried, before, settings)
+            if decision.accepted:
+                candidate = differentiated(command, equilibrium)
+                if candidate.stands:
+                    at = candidate.value, candidate.compliance
+                    arrival, linear = candidate, linearise(command, *at)
+                else:
+                    # A singular equilibrium counts as none: no step leads on from it.
+                    decision = decide(linear, qp, NOWHERE, before, settings)
+            records.append(
+                StepRecord(
+                    size=float(np.abs(step).max()),
+                    cost=0.5 * float((linear.error**2).sum()),
+                    violation=violation(linear.b),
+                    kkt_residual=float(qp.kkt_residual),
+                    newton_steps=int(equilibrium.solution.steps),
+                    accepted=decision.accepted,
+                )
             )
+            outcome = _outcome(command, arrival, linear, decision, records)
+    except KeyboardInterrupt:
+        so_far = Descent(
+            arrival, linear, decision, OUTCOMES.interrupted, tuple(records)
         )
-        outcome = _outcome(command, arrival, linear, decision, records)
+        raise KeyboardInterrupt(so_far) from None
     return Descent(arrival, linear, decision, outcome, tuple(records))
 
 
@@ -224,25 +231,31 @@ def search(
     The other ways are other starts, then a continuation of the goals from where the
     effectors are at the start. The first descent that meets the goals ends the search.
     If none does, the best descent and the one from the start itself are taken to their
-    ends. Returns the better one, with all attempts.
+    ends. Returns the better one, with all attempts; if interrupted, the best so far.
     """
     at_start = reached(command, command.start, guess)
     first = begin(command, differentiated(command, at_start))
     if first.linear is None:
         return first, ()
-    tried: dict[str, Descent] = {}
-    best = "the start"
-    for way, descent in _ways(command, first):
-        tried[way] = descent
-        if descent.met or _better(command, descent, tried[best]):
-            best = way
-        if descent.met:
-            break
-    else:
-        for way in dict.fromkeys(("the start", best)):
-            tried[way] = descend(command, tried[way])
-        if not _better(command, tried[best], tried["the start"]):
-            best = "the start"
+    tried, best = {"the start": first}, "the start"
+    try:
+        for way, descent in _ways(command, first):
+            tried[way] = descent
+            if descent.met or _better(command, descent, tried[best]):
+                best = way
+            if descent.met:
+                break
+        else:
+            for way in dict.fromkeys(("the start", best)):
+                tried[way] = descend(command, tried[way])
+            if not _better(command, tried[best], tried["the start"]):
+                best = "the start"
+    except KeyboardInterrupt as stop:
+        for descent in stop.args:  # the one that was under way, if any
+            tried["the last, interrupted"] = descent
+            if not _better(command, tried[best], descent):
+                best = "the last, interrupted"
+        tried[best] = tried[best]._replace(outcome=OUTCOMES.interrupted)
     error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
     return tried[best], tuple(
         Attempt(way, end.outcome, float(error(end)), len(end.records))

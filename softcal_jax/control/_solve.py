@@ -80,7 +80,8 @@ def solve_inverse(
         limits: Limits by the names of actuators.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
-        throw: Raise if the search fails; an unreachable goal is not a failure.
+        throw: Raise if the search fails or is interrupted; an unreachable goal is not a
+            failure.
 
     Raises:
         ValueError: If no actuator is commanded, no effector has a goal, a name is
@@ -97,6 +98,8 @@ def solve_inverse(
     result = _result(command, *search(command, np.asarray(guess)))
     if throw and result.outcome == OUTCOMES.no_equilibrium:
         raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
+    if throw and result.outcome == OUTCOMES.interrupted:
+        raise KeyboardInterrupt(result.message)
     if throw and not (result.met or result.outcome == OUTCOMES.nearest):
         raise RuntimeError(result.message)
     return result
@@ -117,7 +120,8 @@ def follow_trajectory(
     the trajectory; the `step` of limits holds between neighbouring points.
 
     Returns:
-        The commands, up to the first one whose start has no regular equilibrium.
+        The commands, up to the first one whose start has no regular equilibrium, or
+        to an interruption.
 
     Raises:
         ValueError: Also if there is no goal.
@@ -126,18 +130,24 @@ def follow_trajectory(
         raise ValueError("goals is empty: give at least one point of the trajectory.")
     points: list[InverseResult] = []
     now, guess = configuration, None
+    last = OUTCOMES.no_equilibrium, OUTCOMES.singular, OUTCOMES.interrupted
     for goal in goals:
-        result = solve_inverse(
-            model,
-            replace(configuration, actuation=now.actuation),
-            goals=goal,
-            limits=limits,
-            settings=settings,
-            guess=guess,
-            throw=throw,
-        )
+        try:
+            result = solve_inverse(
+                model,
+                replace(configuration, actuation=now.actuation),
+                goals=goal,
+                limits=limits,
+                settings=settings,
+                guess=guess,
+                throw=throw,
+            )
+        except KeyboardInterrupt:
+            if throw or not points:
+                raise
+            break
         points.append(result)
-        if result.outcome in (OUTCOMES.no_equilibrium, OUTCOMES.singular):
+        if result.outcome in last:
             break
         now, guess = result.configuration, result.solution.displacement
     return TrajectoryResult(tuple(points))
@@ -192,7 +202,9 @@ def _result(
         for effector in command.effectors
         if effector.seen.any()
     )
-    holding = Holding() if linear is None else what_holds(command, arrival, linear)
+    holding = Holding()
+    if linear is not None and outcome != OUTCOMES.interrupted:
+        holding = what_holds(command, arrival, linear)
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),

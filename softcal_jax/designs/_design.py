@@ -155,8 +155,9 @@ def design(
         stage("the least expected error of prints")
         try:
             of_prints = _robust(asked, space, fit, printing)
-        except RuntimeError as error:  # the design so far must not be lost
-            lost = str(error)
+        except (RuntimeError, KeyboardInterrupt) as error:
+            lost = str(error) or "interrupted."  # but not the design so far
+            fit = replace(fit, interrupted=isinstance(error, KeyboardInterrupt))
     robust = of_prints is not None
     if of_prints is not None:
         nominal, poses, n = fit, of_prints.configurations, len(goals)
@@ -190,7 +191,10 @@ def design(
     if space is None or fit.interrupted:
         return result
     answer(result)
-    others += _alternatives(asked, space, stage)
+    try:
+        others.extend(_alternatives(asked, space, stage))
+    except KeyboardInterrupt:
+        result = replace(result, fit=replace(fit, interrupted=True))
     return replace(result, alternatives=tuple(others))
 
 
@@ -203,7 +207,7 @@ def _fit(
     **begin: Any,
 ) -> CalibrationResult:
     """Fit goals, and again with more weight on limits of peaks that are not kept."""
-    tighter = 0
+    tighter, fit = 0, None
     while True:
         limits = asked.largest.readings(KEPT / TIGHTER**tighter)
         goals = [
@@ -211,7 +215,12 @@ def _fit(
             for goal in asked.configurations
         ]
         goals += prints
-        fit = _calibrated(asked, space, goals, deviations=deviations, **begin)
+        try:
+            fit = _calibrated(asked, space, goals, deviations=deviations, **begin)
+        except KeyboardInterrupt:
+            if fit is None:
+                raise
+            return replace(fit, interrupted=True)
         if fit.interrupted or tighter == MOST_TIGHTENED:
             return fit
         if all(peak.kept for peak in peaks(fit, asked.largest)):
@@ -285,19 +294,17 @@ def _alternatives(
         stage("the same goals with the best homogeneous material")
         one = asked._replace(change=None)
         fit = _fit(one, _homogeneous(asked.model, space), starts=None)
-        if fit.interrupted:
-            return
         yield _alternative("the best homogeneous material", fit)
     if asked.commands:
         stage("the same goals with actuation alone")
         known = space.model_at(asked.model, space.start())
         alone = asked._replace(model=known, foam=None, change=None)
-        fit = _fit(alone, None, starts=1)
-        if not fit.interrupted:
-            yield _alternative("actuation alone", fit)
+        yield _alternative("actuation alone", _fit(alone, None, starts=1))
 
 
 def _alternative(name: str, fit: CalibrationResult) -> Alternative:
+    if fit.interrupted:  # it would be compared unfairly
+        raise KeyboardInterrupt
     goals = tuple(
         GoalFit(effector) for pose in fit.configurations for effector in aimed(pose)
     )

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import jax.numpy as jnp
+import meshio
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -16,15 +17,15 @@ from softcal_jax.fields import find_field
 from softcal_jax.materials import DENSITY, Fibre, fields_of_tets
 from softcal_jax.mesh import volumes
 
-if TYPE_CHECKING:
-    import pyvista
-
 STANDARD_ERROR = "_standard_error"
 """End of the name of a standard error; the name of its field stands before it."""
 
 _SYMMETRIC = {"XX": (0, 0), "YY": (1, 1), "ZZ": (2, 2)}
 _SYMMETRIC |= {"XY": (0, 1), "YZ": (1, 2), "XZ": (0, 2)}
 """Entries of a symmetric tensor in the order of VTK."""
+
+_COMPONENTS = {"cauchy_stress": tuple(_SYMMETRIC), "principal_stretches": "123"}
+"""Names of the components of values per tet."""
 
 
 def write_vtu(
@@ -49,8 +50,6 @@ def write_vtu(
     Raises:
         ValueError: If the shape is wrong.
     """
-    import pyvista
-
     mesh = model.mesh
     u = np.asarray(displacement, float)
     if u.shape != mesh.points.shape:
@@ -59,23 +58,23 @@ def write_vtu(
             f"got {u.shape}."
         )
     states = tet_states(model, jnp.asarray(u))
-    kinds = pyvista.CellType.TETRA, pyvista.CellType.QUADRATIC_TETRA
-    grid = pyvista.UnstructuredGrid({kinds[mesh.order - 1]: mesh.tets}, mesh.points)
-    grid.point_data["displacement"] = u
+    at_points = {"displacement": u}
     bodies = model.mechanism.bodies
     if bodies.n_bodies:
-        owner = np.zeros(mesh.n_nodes)
+        owner = at_points["rigid_body"] = np.zeros(mesh.n_nodes)
         owner[bodies.attached] = bodies.body + 1.0
-        grid.point_data["rigid_body"] = owner
     cauchy = _symmetric_part(states)
-    stress = np.stack([cauchy[:, i, j] for i, j in _SYMMETRIC.values()], axis=1)
-    _add(grid, "cauchy_stress", stress, tuple(_SYMMETRIC))
-    _add(grid, "principal_stretches", principal_stretches(states), ("1", "2", "3"))
-    grid.cell_data["strain_energy_density"] = np.asarray(states.energy) / volumes(mesh)
-    fields = tet_fields(model, standard_errors or {}) | fibre_directions(model)
-    for name, values in fields.items():
-        grid.cell_data[name] = values
-    _save(path, grid)
+    of_tets = {
+        "cauchy_stress": np.stack(
+            [cauchy[:, *ij] for ij in _SYMMETRIC.values()], axis=1
+        ),
+        "principal_stretches": principal_stretches(states),
+        "strain_energy_density": np.asarray(states.energy) / volumes(mesh),
+        **tet_fields(model, standard_errors or {}),
+        **fibre_directions(model),
+    }
+    kind = ("tetra", "tetra10")[mesh.order - 1]
+    _save(path, mesh.points, [(kind, mesh.tets)], at_points, of_tets)
 
 
 def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
@@ -89,9 +88,6 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     to `axis_3`, the axes of a rigid body's frame [-]; with obstacles `contact_force`
     [N] and `contact_moment` [N m], what the robot does to them.
     """
-    import pyvista
-    from pyvista import CellType
-
     mechanism, first = model.mechanism, model.mesh.n_nodes
     rest = np.asarray(mechanism.points)
     moved = rest + state.displacement
@@ -116,11 +112,11 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
 
     # Kind and points of the cells, and the index of the actuator of each, -1 for none.
     vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
-    kind = CellType.TRIANGLE if n_fn == 3 else CellType.QUADRATIC_TRIANGLE
+    kind = "triangle" if n_fn == 3 else "triangle6"
     faces = n_v + 2 * n_l + faces.reshape(-1, n_fn)
     blocks = (
-        (CellType.VERTEX, np.arange(n_v)[:, None], vertex_owner),
-        (CellType.LINE, n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
+        ("vertex", np.arange(n_v)[:, None], vertex_owner),
+        ("line", n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
         (kind, faces, after.face_owner),
     )
     blocks = [block for block in blocks if len(block[1])]
@@ -128,17 +124,15 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     # Entry 0 is for cells that no actuator owns.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
-    grid = pyvista.UnstructuredGrid({kind: cells for kind, cells, _ in blocks}, at_rest)
-    grid.point_data["displacement"] = points(moved, after) - at_rest
+    at_points = {"displacement": points(moved, after) - at_rest}
     for name, values in vectors.items():  # zero at all points but the vertices
-        grid.point_data[name] = np.pad(values, ((0, n - len(values)), (0, 0)))
-    grid.cell_data["actuator"] = owner.astype(float)
+        at_points[name] = np.pad(values, ((0, n - len(values)), (0, 0)))
     body = np.zeros(len(owner))
     body[:n_b] = 1.0 + np.arange(n_b)
-    grid.cell_data["rigid_body"] = body
-    grid.cell_data["lambda_a"] = forces[owner]
-    grid.cell_data["delta_a"] = moves[owner]
-    _save(path, grid)
+    of_cells = {"actuator": owner.astype(float), "rigid_body": body}
+    of_cells |= {"lambda_a": forces[owner], "delta_a": moves[owner]}
+    cells = [(kind, cells) for kind, cells, _ in blocks]
+    _save(path, at_rest, cells, at_points, of_cells)
 
 
 def _felt(bodies: Sequence[str], state: RobotState) -> dict[str, HostArray]:
@@ -167,23 +161,23 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _save(path: str | Path, grid: "pyvista.UnstructuredGrid") -> None:
-    grid.save(path)
-    if not Path(path).exists():  # VTK removes what it could not finish, and prints it
-        raise OSError(f"{path} could not be written: is the disk full?")
-
-
-def _add(
-    grid: "pyvista.UnstructuredGrid",
-    name: str,
-    values: Float[HostArray, "n_tets k"],
-    components: tuple[str, ...],
+def _save(
+    path: str | Path,
+    points: Float[HostArray, "n_points 3"],
+    blocks: Sequence[tuple[str, HostArray]],
+    at_points: dict[str, HostArray],
+    of_cells: Mapping[str, HostArray],
 ) -> None:
-    """Add values per tet whose components have names."""
-    grid.cell_data[name] = values
-    array = grid.GetCellData().GetArray(name)
-    for k, component in enumerate(components):
-        array.SetComponentName(k, component)
+    """Write cells in blocks of one kind each, which VTK would abort on a full disk."""
+    ends = np.cumsum([len(cells) for _, cells in blocks])[:-1]
+    in_blocks = {name: np.split(values, ends) for name, values in of_cells.items()}
+    mesh = meshio.Mesh(points, list(blocks), at_points, in_blocks)
+    mesh.write(path, file_format="vtu")
+    tree = ElementTree.parse(path)  # meshio names no components
+    for array in tree.iter("DataArray"):
+        for k, name in enumerate(_COMPONENTS.get(array.get("Name", ""), ())):
+            array.set(f"ComponentName{k}", name)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
 def tet_fields(

@@ -1,4 +1,4 @@
-"""Write a results folder, whole or not at all."""
+"""Write a results folder: the results whole or not at all, then the bodies, too."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from softcal_jax import export
+from softcal_jax._places import with_remedy
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import CalibrationResult, SimulationResult, SourceFile
 from softcal_jax.configurations import Traces
@@ -24,6 +25,7 @@ from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
 
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
+WITHOUT = "without pictures and files for ParaView"
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
@@ -55,7 +57,8 @@ def write_results(
     `configurations.pvd` opens all .vtu at once. For a robot with other effectors, rigid
     bodies or actuators there are `effectors.csv` and `robot.csv`, too; for a recording
     of markers over time, a picture whose name ends with `_recording.png`. A calibration
-    that did not converge is written too, marked as such.
+    that did not converge is written too, marked as such. The results are there, as
+    a whole, before .vtu and pictures are made.
 
     Args:
         result: The calibration.
@@ -259,20 +262,41 @@ def _write(
     texts: Mapping[str, str] | None = None,
     **drawn: Any,
 ) -> Path:
-    """Write all files, and last the index, which lists them.
+    """Write the results, and then once more with the files of the bodies.
 
+    So no results are lost by what befalls those, which take long and a larger disk.
     `texts` are files by name; `drawn` says how the bodies of a result are drawn.
     """
-    with export.results_folder(directory, force=force) as folder:
-        view, files = None, list(texts or ())
+    shown, notes = data.get("configurations", []), data.get("notes", [])
+
+    def write(folder: Path, view: PageView | None, bodies: Sequence[str]) -> None:
+        files = [_pages.REPORT, *(texts or ())]
         for file, text in (texts or {}).items():
             (folder / file).write_text(text, encoding="utf-8")
         if result is not None:
-            view, bodies = _write_bodies(folder, result, data, **drawn)
-            files += bodies
-        data["files"] = [_pages.REPORT, *files]
+            files += export.write_csv(folder, result.configurations)
+        data["files"] = [*files, *bodies]
         (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
         export.write_json(folder / index, data)
+
+    with export.results_folder(directory, force=force) as folder:
+        if result is not None:
+            data["notes"] = [*notes, f"This is {WITHOUT}."]
+            for entry in shown:
+                entry["files"] = []
+        write(folder, None, ())
+    if result is None:
+        return Path(directory)
+    data["notes"] = notes
+    kept = f"{directory} holds the results, but {WITHOUT}"
+    try:
+        with (
+            export.results_folder(directory, force=True) as folder,
+            with_remedy(kept, "free disk space, and run this again"),
+        ):
+            write(folder, *_write_bodies(folder, result, data, **drawn))
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"{kept}.") from error
     return Path(directory)
 
 
@@ -285,7 +309,7 @@ def _write_bodies(
     progress: Progress,
     traces: Mapping[str, Traces] | None = None,
 ) -> tuple[PageView | None, list[str]]:
-    """Write tables, bodies and pictures; return the view, and the names of the files.
+    """Write bodies and pictures; return the view, and the names of the files.
 
     The configurations of `data` get theirs; its notes say which pictures are left out.
     """
@@ -300,7 +324,7 @@ def _write_bodies(
     data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
-    files, bodies = export.write_csv(folder, shown), []
+    files, bodies = [], []
     plots: dict[str, Callable[[Path], None]] = {}
     for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         entry["files"] = written = []

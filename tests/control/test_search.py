@@ -1,5 +1,6 @@
 """The search goes on from elsewhere, and says what holds it where nothing helps."""
 
+import signal
 from dataclasses import replace
 
 import equinox as eqx
@@ -20,6 +21,8 @@ from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     Limits,
+    _search,
+    follow_trajectory,
     solve_inverse,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
@@ -58,6 +61,58 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     assert result.attempts[-1].way.startswith("other start")
     assert result.held_by == ()
     assert result.blind is None
+
+
+def interrupted_at(monkeypatch, step):
+    """From the step of this number on, of all descents, Ctrl-C is pressed in one."""
+    count, decide = iter(range(1, 1000)), _search.decide
+
+    def decided(*args):
+        if next(count) == step:
+            signal.raise_signal(signal.SIGINT)
+        return decide(*args)
+
+    monkeypatch.setattr(_search, "decide", decided)
+
+
+def half_way(settings, **more):
+    """A goal in `start` that its limits keep it from, but for other starts."""
+    at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
+    start = replace(pose(REST, EFFECTORS[1:], motor=-0.05), markers=at_end)
+    goal = {"end": (LENGTH * np.cos(0.5), 0.0, 0.0)}
+    more |= {"limits": {"motor": Limits(displacement=(-0.1, 0.8))}}
+    return arm(), start, goal, {"settings": settings, **more}
+
+
+@pytest.mark.parametrize("step", [1, 2, 6, 12])
+def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
+    model, start, goal, more = half_way(ControlSettings())
+    interrupted_at(monkeypatch, step)
+    result = solve_inverse(model, start, goals=goal, throw=False, **more)
+    assert result.outcome == OUTCOMES.interrupted
+    assert says(result.message, "interrupted", "'end' is off by")
+    assert not result.met
+    assert sum(tried.n_steps for tried in result.attempts) == step - 1
+    least = min(tried.error for tried in result.attempts)
+    (end,) = result.goals
+    assert np.abs(end.in_std).max() == pytest.approx(least, rel=1e-3)
+    at = solve_equilibrium(model, result.configuration).displacement
+    np.testing.assert_allclose(result.solution.displacement, at, atol=1e-9)
+
+
+def test_an_interrupted_call_or_trajectory_does_not_pass_for_a_whole_one(monkeypatch):
+    model, start, goal, more = half_way(DIRECT)
+    near = {"end": (LENGTH * np.cos(0.06), 0.0, 0.0)}
+    whole = solve_inverse(model, start, goals=near, **more)
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, 1)
+        with pytest.raises(KeyboardInterrupt, match="interrupted"):
+            solve_inverse(model, start, goals=goal, **more)
+    interrupted_at(monkeypatch, len(whole.steps) + 1)
+    goals = [near, goal, near]
+    result = follow_trajectory(model, start, goals, throw=False, **more)
+    assert [point.outcome == OUTCOMES.met for point in result.points] == [True, False]
+    assert result.points[1].outcome == OUTCOMES.interrupted
 
 
 def test_a_direction_that_nothing_moves_is_named():

@@ -1,6 +1,7 @@
 """Designs of a small finger under a cable: goals, limits, foam and prints."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,7 +19,13 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.control import Limits
-from softcal_jax.designs import Change, Printing, design, published_foam
+from softcal_jax.designs import (
+    Change,
+    Peak,
+    Printing,
+    design,
+    published_foam,
+)
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -270,17 +277,50 @@ def test_derivatives_by_material_and_actuation_are_of_second_order(wanted):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.parametrize("step", [0, 1])
 @pytest.mark.parametrize("fits", [1, 2])
 def test_an_interrupted_design_is_compared_with_nothing(
-    made, wanted, monkeypatch, fits
+    made, wanted, monkeypatch, fits, step
 ):
     """Ctrl-C ends the search with what it has, or the comparison without any."""
-    stopped = replace(made.fit, interrupted=True)
+    stopped = replace(made.fit, interrupted=True) if step else KeyboardInterrupt
     left = iter([made.fit, stopped][2 - fits :])
-    monkeypatch.setattr(
-        "softcal_jax.designs._design.calibrate", lambda *_, **__: next(left)
-    )
-    again = design(MODEL, moduli(), wanted, limits=RANGE, foam=published_foam())
+    monkeypatch.setattr("softcal_jax.designs._design.calibrate", next_of(left))
+    asked = partial(design, MODEL, moduli(), wanted, limits=RANGE)
+    if fits == 1 and step == 0:  # there is no design yet
+        with pytest.raises(KeyboardInterrupt):
+            asked(foam=published_foam())
+        return
+    again = asked(foam=published_foam())
     assert again.alternatives == ()
     assert again.met
+    assert again.fit.interrupted
+    assert next(left, None) is None
+
+
+def next_of(left):
+    """Fits in turn, or what ends one before its first step."""
+
+    def calibrate(*_, **__):
+        fit = next(left)
+        if fit is KeyboardInterrupt:
+            raise fit
+        return fit
+
+    return calibrate
+
+
+@pytest.mark.parametrize("part", ["specimens", "tighter"])
+def test_what_is_interrupted_later_keeps_the_design(made, wanted, monkeypatch, part):
+    """The least error over prints, and the fit that keeps a largest stretch better."""
+    left = iter([made.fit, KeyboardInterrupt])
+    monkeypatch.setattr("softcal_jax.designs._design.calibrate", next_of(left))
+    passed = Peak("stretch", "little", 1.2, 1.1, "")
+    if part == "tighter":
+        monkeypatch.setattr("softcal_jax.designs._design.peaks", lambda *_: (passed,))
+    robust = part == "specimens"
+    again = design(MODEL, moduli(), wanted, limits=RANGE, robust=robust)
+    assert again.fit.interrupted
+    assert again.alternatives == ()
+    assert not again.met
     assert next(left, None) is None

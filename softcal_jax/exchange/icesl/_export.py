@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Literal
 
+import meshio
 import numpy as np
 
 from softcal_jax._names import check_known
@@ -78,8 +79,6 @@ def export_icesl(
         ValueError: If the law has no moduli for a foam, the table is missing or does
             not fit the infill, or a region or choice is unknown.
     """
-    import pyvista
-
     check_known("axis to mark", ("soft", "stiff"), angle_marks or "soft")
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
@@ -118,8 +117,8 @@ def export_icesl(
         (folder / _SCRIPT).write_text(text, encoding="utf-8")
         cut = tessellate(part.mesh)
         points = 1e3 * cut.interpolate(part.mesh.points)  # in mm
-        surface = pyvista.PolyData.from_regular_faces(points, cut.triangles)
-        surface.save(folder / _PART)
+        surface = meshio.Mesh(points, [("triangle", cut.triangles)])
+        surface.write(folder / _PART, file_format="stl", binary=True)
         write_foam_table(folder / report.TABLE, foam)
         if chosen.unreachable.any():
             report.write_unreachable(folder / report.UNREACHABLE, samples, chosen)
