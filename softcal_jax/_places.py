@@ -60,22 +60,14 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
     with with_remedy(f"{path} cannot be written", "give another file"):
         check_place(path)
         lock = path.with_name(path.name + ".lockfile")  # no other name is longer
-        held = locked(
-            lock,
-            f"another {program} is writing to {path}: wait until it has ended, or give "
-            "another file.",
-        )
+        busy = f"another {program} is writing to {path}"
+        held = locked(lock, f"{busy}: wait until it has ended, or give another file.")
     with held:
         yield
 
 
 def locked(lock: Path, busy: str) -> ExitStack:
-    """Lock a file, which is made for this, until the stack is closed.
-
-    Raises:
-        BlockingIOError: With the text `busy`, if another process holds the lock.
-        OSError: If the place cannot be written.
-    """
+    """Lock a file, made for this, until the stack is closed; or say that it is busy."""
     with ExitStack() as opened:
         file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
         opened.callback(os.close, file)

@@ -17,7 +17,7 @@ from wording import says
 
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _shared, main
-from softcal_jax.export import RESULT_FORMAT
+from softcal_jax.export import RESULT_FORMAT, results_folder
 from softcal_jax.mistakes import Mistake
 from softcal_jax.robots import silicone_beam_path
 
@@ -152,8 +152,8 @@ def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
     """One step is too few: the results are there, marked, and the exit code is 1."""
     settings = "[settings]\nmax_steps = 1\n\n[markers]\n"
     path = write_small_project(tmp_path, ("[markers]\n", settings))
-    out.mkdir()
-    (out / "result.json").write_text('{"files": []}')
+    with results_folder(out) as earlier:
+        (earlier / "result.json").write_text("{}")
     command = ["calibrate", str(path), "-o", str(out), "--no-pictures"]
     assert main([*command, "--force"]) == 1
     text, errors = capsys.readouterr()

@@ -1,6 +1,7 @@
 """`softcal inverse`: from a calibrated folder to the command for a goal."""
 
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from wording import says
 
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _calibrated, main
-from softcal_jax.control import sample_workspace
+from softcal_jax.control import _search, sample_workspace
 from softcal_jax.fields import load_factor
 from softcal_jax.report import load_result
 
@@ -107,6 +108,25 @@ def test_the_force_that_brings_the_tip_to_a_height(calibrated, tmp_path, capsys)
         for name in ("out/result.json", "project.toml", "markers.csv")
     }
     assert "Goals" in page.tables
+
+
+def test_sigterm_writes_the_best_so_far(calibrated, tmp_path, capsys, monkeypatch):
+    count, decide = iter(range(2)), _search.decide
+
+    def decided(*args):
+        if next(count) == 1:
+            signal.raise_signal(signal.SIGTERM)
+        return decide(*args)
+
+    monkeypatch.setattr(_search, "decide", decided)
+    more = ["--goal", "tip=(-, -, 8) mm", "--limit", "push=0 N to 1 N"]
+    assert run(calibrated, tmp_path / "out", *WEIGHT, *more) == 130
+    assert says(capsys.readouterr().err, "interrupted", "best actuation so far")
+    data = json.loads((tmp_path / "out" / "inverse.json").read_text())
+    assert data["met"] is False
+    assert says(data["points"][0]["outcome"], "interrupted")
+    assert "command.vtu" in data["files"]
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 def test_out_of_reach_of_the_limits(calibrated, tmp_path, capsys):

@@ -1,5 +1,7 @@
+import errno
 import io
 import json
+import os
 import warnings
 
 import numpy as np
@@ -144,9 +146,7 @@ class TestWholeOrNotAtAll:
         assert data["converged"] is False
         assert names(tmp_path) == ["out"]
 
-    @pytest.mark.parametrize(
-        "part", ["body_view", "write_csv", "write_vtu", "write_json"]
-    )
+    @pytest.mark.parametrize("part", ["write_csv", "write_json"])
     def test_a_failure_leaves_nothing_or_what_was_there(
         self, tmp_path, monkeypatch, part
     ):
@@ -156,14 +156,40 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        owner = export if hasattr(export, part) else _write
-        monkeypatch.setattr(owner, part, fail)
+        monkeypatch.setattr(export, part, fail)
         for name in ("new", "old"):
             with pytest.raises(OSError, match="disk full"):
                 write_results(make_result(converged=False), tmp_path / name, force=True)
         assert names(tmp_path) == ["old"]
         assert "droop.vtu" in names(tmp_path / "old")
         assert (tmp_path / "old" / "result.json").read_text() == before
+
+    @pytest.mark.parametrize("part", ["body_view", "write_vtu"])
+    @pytest.mark.parametrize("error", [errno.ENOSPC, KeyboardInterrupt, ValueError])
+    def test_results_are_there_before_bodies(self, tmp_path, monkeypatch, part, error):
+        """A full disk, Ctrl-C or a fault in what draws them leaves the results."""
+        write_results(make_result(), tmp_path / "old")
+
+        def fail(*args, **kwargs):
+            if isinstance(error, int):
+                raise OSError(error, os.strerror(error))
+            raise error
+
+        owner = export if hasattr(export, part) else _write
+        monkeypatch.setattr(owner, part, fail)
+        kinds = {errno.ENOSPC: OSError}
+        for name in ("new", "old"):
+            with pytest.raises(kinds.get(error, error)) as caught:
+                write_results(make_result(converged=False), tmp_path / name, force=True)
+            if error is not ValueError:
+                where = f"{tmp_path / name} holds the results, without pictures"
+                assert says(str(caught.value), where)
+            rows = ["markers.csv", "report.html", "result.json"]
+            assert names(tmp_path / name) == rows
+            data = json.loads((tmp_path / name / "result.json").read_text())
+            assert data["files"] == ["report.html", "markers.csv"]
+            assert data["converged"] is False
+        assert names(tmp_path) == ["new", "old"]
 
     def test_a_simulation_too(self, tmp_path, monkeypatch):
         result = make_simulation_result(small_model(), (True,))

@@ -168,10 +168,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
             written = export_icesl(ordered, args.output / "icesl", **printed)
         show.line(f"To print it: {written.directory / 'robot.lua'}, for IceSL.")
     if result.fit.interrupted:
-        text = (
-            "interrupted: the design is that of the last step, and what was to follow "
-        )
-        text += "is left out."
+        text = "interrupted: the design is that of the last step, without what follows."
         raise cli.Stop(cli.INTERRUPTED, text)
     if not result.met:
         raise cli.Stop(cli.NOT_CONVERGED, result.headline)

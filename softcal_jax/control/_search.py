@@ -255,7 +255,9 @@ def search(
             tried["the last, interrupted"] = descent
             if not _better(command, tried[best], descent):
                 best = "the last, interrupted"
-        tried[best] = tried[best]._replace(outcome=OUTCOMES.interrupted)
+        # Nothing holds the robot there: more steps would have followed.
+        ended = {"outcome": OUTCOMES.interrupted, "linear": None}
+        tried[best] = tried[best]._replace(**ended)
     error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
     return tried[best], tuple(
         Attempt(way, end.outcome, float(error(end)), len(end.records))

@@ -131,8 +131,8 @@ def follow_trajectory(
     points: list[InverseResult] = []
     now, guess = configuration, None
     last = OUTCOMES.no_equilibrium, OUTCOMES.singular, OUTCOMES.interrupted
-    for goal in goals:
-        try:
+    try:
+        for goal in goals:
             result = solve_inverse(
                 model,
                 replace(configuration, actuation=now.actuation),
@@ -142,14 +142,14 @@ def follow_trajectory(
                 guess=guess,
                 throw=throw,
             )
-        except KeyboardInterrupt:
-            if throw or not points:
-                raise
-            break
-        points.append(result)
-        if result.outcome in last:
-            break
-        now, guess = result.configuration, result.solution.displacement
+            points.append(result)
+            if result.outcome in last:
+                break
+            now, guess = result.configuration, result.solution.displacement
+    except KeyboardInterrupt:
+        if throw or not points:
+            raise
+        points[-1] = replace(points[-1], outcome=OUTCOMES.interrupted)
     return TrajectoryResult(tuple(points))
 
 
@@ -202,9 +202,7 @@ def _result(
         for effector in command.effectors
         if effector.seen.any()
     )
-    holding = Holding()
-    if linear is not None and outcome != OUTCOMES.interrupted:
-        holding = what_holds(command, arrival, linear)
+    holding = Holding() if linear is None else what_holds(command, arrival, linear)
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),

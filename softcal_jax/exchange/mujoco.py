@@ -123,13 +123,12 @@ def export_mujoco(
     stems = ["robot"] * len(poses) if alike else file_stems([p.name for p in poses])
     files = {pose.name: f"{stem}.xml" for pose, stem in zip(poses, stems, strict=True)}
     with results_folder(folder, force=force) as partial:
-        written = sorted({*files.values()})
-        for file in written:
+        for file in sorted({*files.values()}):
             within = [pose for pose in poses if files[pose.name] == file]
             text = mjcf(project.name, refitted.model, within, lines)
             (partial / file).write_text(text, encoding="utf-8")
         index = {"format": "softcal_jax.mujoco/1", "configurations": files}
-        write_json(partial / "robot.json", {**index, "files": written})
+        write_json(partial / "robot.json", index)
     return MujocoExport(files, refitted, tuple(lines))
 
 

@@ -53,10 +53,10 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
 
     Raises:
         FileExistsError: If it is a file; or if it is not empty, and `force` is off, it
-            is not a results folder, or a user has changed one of the results. Nothing
-            but earlier results is ever replaced.
-        BlockingIOError: If another process is writing results there.
-        OSError: If nothing can be written there; the text says why.
+            is not a results folder, or one of its files has changed. Nothing but
+            earlier results is ever replaced.
+        OSError: If nothing can be written there, as while another process does; the
+            text says why.
     """
     with _partial_folder(Path(directory), force=force) as (_, directory):
         if directory.exists():
@@ -99,22 +99,16 @@ def results_folder(
 ) -> Iterator[Path]:
     """Make a temporary folder which becomes `directory` at the end, whole.
 
-    A new folder appears by a single renaming. In one that is there already the files
-    are moved one by one, so that files of a user and the working folder of a shell
-    stay. If the block raises, the temporary folder is removed and earlier results stay
-    as they were; what a killed process has left is completed, or removed if it was not
-    written yet, by the next call of these functions. Missing parents are created.
-
-    Args:
-        directory: The folder.
-        force: Replace earlier results, but not files of the user.
-        replaceable: Whether `force` may replace what is written now, some day: the file
-            ".softcal-files" lists results with their size and SHA-256.
+    A new folder appears by a single renaming; into one that is there files are moved
+    one by one, so that those of a user stay. If the block raises, earlier results stay
+    as they were. What a killed process has left is completed, or removed if it was not
+    whole, by the next call. Missing parents are created. With `force` earlier results
+    are replaced, if they were written as `replaceable`: ".softcal-files" lists these,
+    with size and SHA-256.
 
     Raises:
         FileExistsError: As `check_results_folder`, or if a foreign file would be
             overwritten.
-        BlockingIOError: If another process is writing results there.
         OSError: If the files cannot be written; the text says why.
     """
     with _partial_folder(Path(directory), force=force) as (partial, directory):
@@ -130,8 +124,7 @@ def complete_results(directory: Path) -> None:
     """Move results into place that a killed process has left complete beside it."""
     with suppress(OSError):  # such as a disk that cannot be written
         if _lock(directory.resolve()).exists():
-            with _partial_folder(directory, force=True):
-                pass
+            check_results_folder(directory, force=True)
 
 
 def _lock(directory: Path) -> Path:
@@ -145,8 +138,7 @@ def _lock(directory: Path) -> Path:
 def _partial_folder(directory: Path, *, force: bool) -> Iterator[tuple[Path, Path]]:
     """Make a folder beside another one, and missing parents; yield both, as absolute.
 
-    One process at a time has it. At the end, new parents that are still empty are
-    removed, too.
+    One process at a time has it. At the end, empty new parents are removed, too.
     """
     refused = f"no results can be written to {directory}"
     directory = directory.resolve()
@@ -155,12 +147,8 @@ def _partial_folder(directory: Path, *, force: bool) -> Iterator[tuple[Path, Pat
             if not parent.exists():
                 parent.mkdir()
                 made.callback(_remove_empty, parent)
-        busy = (
-            f"another process is writing results to {directory}: wait until it has "
-            f"ended, or {_REMEDY}."
-        )
-        lock = _lock(directory)
-        made.enter_context(locked(lock, busy))
+        lock, busy = _lock(directory), f"another process writes to {directory}"
+        made.enter_context(locked(lock, f"{busy}: wait until it has, or {_REMEDY}."))
         partial = lock.with_suffix(".partial")
         if _written(partial):
             _move_into_place(partial, directory)
@@ -189,8 +177,7 @@ def _stamp(file: Path) -> dict[str, int | str]:
 def _written(folder: Path) -> dict[str, bool]:
     """Tell which files of a folder softcal_jax wrote, and if they are still the same.
 
-    The list of them counts as one of them. Names that lead out of the folder are
-    ignored, whatever the list says.
+    The list of them is one; names that lead out of the folder are ignored.
     """
     files = {}
     with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):

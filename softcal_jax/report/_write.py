@@ -1,5 +1,6 @@
 """Write a results folder: the results whole or not at all, then the bodies, too."""
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -22,10 +23,8 @@ from softcal_jax.project import Project, printed_project
 from softcal_jax.report import _pages
 from softcal_jax.report._goals import commanded, design_dict
 from softcal_jax.report._view import PageView, body_view
-from softcal_jax.report._view_fields import TetValues
 
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
-WITHOUT = "without pictures and files for ParaView"
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
@@ -85,7 +84,7 @@ def write_results(
     )
     page = partial(_pages.calibration_page, result, assessment)
     drawn = {"traces": traces, "suffix": pictures, "progress": progress}
-    return _write(result, data, directory, "result.json", page, force=force, **drawn)
+    return _write(result, data, directory, page, force=force, **drawn)
 
 
 def write_simulation(
@@ -117,9 +116,7 @@ def write_simulation(
     data["calibration"] = values and export.file_dict(values, directory)
     page = partial(_pages.simulation_page, result)
     drawn = {"traces": traces, "suffix": pictures, "progress": progress}
-    return _write(
-        result, data, directory, "simulation.json", page, force=force, **drawn
-    )
+    return _write(result, data, directory, page, force=force, **drawn)
 
 
 def write_design(
@@ -148,12 +145,11 @@ def write_design(
         shown, name=name, timing_s=timing_s, made=made, directory=directory
     )
     data |= {"format": "softcal_jax.design/1", "design": design_dict(result)}
-    texts = {}
-    if project is not None:
-        texts["project.toml"] = printed_project(project, result, Path(directory))
+    printed = lambda project: printed_project(project, result, Path(directory))
+    texts = {} if project is None else {"project.toml": printed(project)}
     page = partial(_pages.design_page, result)
     drawn = {"suffix": pictures, "progress": progress, "texts": texts}
-    return _write(shown, data, directory, "design.json", page, force=force, **drawn)
+    return _write(shown, data, directory, page, force=force, **drawn)
 
 
 def write_identifiability(
@@ -179,8 +175,7 @@ def write_identifiability(
     text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
     page = lambda data, *_: _pages.identifiability_page(outlook, ranking, data)
     texts = {"identifiability.txt": f"{text}\n"}
-    index = "identifiability.json"
-    return _write(None, data, directory, index, page, force=force, texts=texts)
+    return _write(None, data, directory, page, force=force, texts=texts)
 
 
 def write_comparison(
@@ -204,8 +199,7 @@ def write_comparison(
     )
     page = lambda data, *_: _pages.comparison_page(comparison, data)
     texts = {"comparison.txt": f"{comparison}\n"}
-    index = "comparison.json"
-    return _write(None, data, directory, index, page, force=force, texts=texts)
+    return _write(None, data, directory, page, force=force, texts=texts)
 
 
 def write_inverse(
@@ -245,7 +239,7 @@ def write_inverse(
     shown = SimulationResult(points[0].model, poses)
     page = partial(_pages.inverse_page, result, options)
     drawn = {"suffix": pictures, "progress": progress}
-    return _write(shown, data, directory, "inverse.json", page, force=force, **drawn)
+    return _write(shown, data, directory, page, force=force, **drawn)
 
 
 Result = CalibrationResult | SimulationResult
@@ -255,7 +249,6 @@ def _write(
     result: Result | None,
     data: dict[str, Any],
     directory: str | Path,
-    index: str,
     page: Callable[[Mapping[str, Any], Path, PageView | None], str],
     *,
     force: bool,
@@ -267,9 +260,10 @@ def _write(
     So no results are lost by what befalls those, which take long and a larger disk.
     `texts` are files by name; `drawn` says how the bodies of a result are drawn.
     """
-    shown, notes = data.get("configurations", []), data.get("notes", [])
+    kept = f"{directory} holds the results, without pictures and files for ParaView"
+    index = re.split("[./]", data["format"])[1] + ".json"  # softcal_jax.result/2
 
-    def write(folder: Path, view: PageView | None, bodies: Sequence[str]) -> None:
+    def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
         files = [_pages.REPORT, *(texts or ())]
         for file, text in (texts or {}).items():
             (folder / file).write_text(text, encoding="utf-8")
@@ -279,21 +273,16 @@ def _write(
         (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
         export.write_json(folder / index, data)
 
+    data.setdefault("notes", [])
+    for entry in data["configurations"] if result is not None else ():
+        entry["files"] = []
     with export.results_folder(directory, force=force) as folder:
-        if result is not None:
-            data["notes"] = [*notes, f"This is {WITHOUT}."]
-            for entry in shown:
-                entry["files"] = []
-        write(folder, None, ())
+        write(folder)
     if result is None:
         return Path(directory)
-    data["notes"] = notes
-    kept = f"{directory} holds the results, but {WITHOUT}"
+    again = with_remedy(kept, "free disk space, and run this again")
     try:
-        with (
-            export.results_folder(directory, force=True) as folder,
-            with_remedy(kept, "free disk space, and run this again"),
-        ):
+        with export.results_folder(directory, force=True) as folder, again:
             write(folder, *_write_bodies(folder, result, data, **drawn))
     except KeyboardInterrupt as error:
         raise KeyboardInterrupt(f"{kept}.") from error
@@ -321,10 +310,12 @@ def _write_bodies(
         left_out = ", ".join(f"{stem}.{suffix}" for stem in moved)
         problem = f"left out: {left_out}; {problem}"
         warnings.warn(problem, PictureWarning, stacklevel=4)  # before the work is done
-    data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
+    data["notes"] = [*data["notes"], *([problem] if problem else [])]
     trusted = not isinstance(result, CalibrationResult) or result.converged
-    errors = _field_errors(result)
-    files, bodies = [], []
+    errors, files, bodies = None, [], []
+    if isinstance(result, CalibrationResult):
+        estimate = result.space, result.z, result.budget.covariance
+        errors = field_standard_errors(model, *estimate)
     plots: dict[str, Callable[[Path], None]] = {}
     for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
         entry["files"] = written = []
@@ -352,11 +343,3 @@ def _write_bodies(
         progress(done, len(plots))
     files += [file for entry in data["configurations"] for file in entry["files"]]
     return None if suffix is None else body_view(result, errors), files
-
-
-def _field_errors(result: Result) -> TetValues | None:
-    """Compute the standard errors of what was calibrated; None for a simulation."""
-    if not isinstance(result, CalibrationResult):
-        return None
-    estimate = result.space, result.z, result.budget.covariance
-    return field_standard_errors(result.model, *estimate)

@@ -41,14 +41,9 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
 
     The goal is met at +0.5 alone, behind the angle 0 where the motor does not move x.
     """
-    at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
-    start = replace(pose(REST, EFFECTORS[1:], motor=-0.05), markers=at_end)
+    model, start, goal, more = behind_a_fold()
     run = lambda settings: solve_inverse(
-        arm(),
-        start,
-        goals={"end": (LENGTH * np.cos(0.5), 0.0, 0.0)},
-        limits={"motor": Limits(displacement=(-0.1, 0.8))},
-        settings=settings,
+        model, start, goals=goal, settings=settings, **more
     )
     local = run(DIRECT)
     assert local.outcome == OUTCOMES.nearest
@@ -75,18 +70,18 @@ def interrupted_at(monkeypatch, step):
     monkeypatch.setattr(_search, "decide", decided)
 
 
-def half_way(settings, **more):
-    """A goal in `start` that its limits keep it from, but for other starts."""
+def behind_a_fold():
+    """Model, start, goal and limits of the search above."""
     at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
     start = replace(pose(REST, EFFECTORS[1:], motor=-0.05), markers=at_end)
     goal = {"end": (LENGTH * np.cos(0.5), 0.0, 0.0)}
-    more |= {"limits": {"motor": Limits(displacement=(-0.1, 0.8))}}
-    return arm(), start, goal, {"settings": settings, **more}
+    limits = {"motor": Limits(displacement=(-0.1, 0.8))}
+    return arm(), start, goal, {"limits": limits}
 
 
 @pytest.mark.parametrize("step", [1, 2, 6, 12])
 def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
-    model, start, goal, more = half_way(ControlSettings())
+    model, start, goal, more = behind_a_fold()
     interrupted_at(monkeypatch, step)
     result = solve_inverse(model, start, goals=goal, throw=False, **more)
     assert result.outcome == OUTCOMES.interrupted
@@ -101,18 +96,31 @@ def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
 
 
 def test_an_interrupted_call_or_trajectory_does_not_pass_for_a_whole_one(monkeypatch):
-    model, start, goal, more = half_way(DIRECT)
+    model, start, goal, more = behind_a_fold()
+    more |= {"settings": DIRECT}
     near = {"end": (LENGTH * np.cos(0.06), 0.0, 0.0)}
     whole = solve_inverse(model, start, goals=near, **more)
     with monkeypatch.context() as patch:
         interrupted_at(patch, 1)
         with pytest.raises(KeyboardInterrupt, match="interrupted"):
             solve_inverse(model, start, goals=goal, **more)
-    interrupted_at(monkeypatch, len(whole.steps) + 1)
     goals = [near, goal, near]
-    result = follow_trajectory(model, start, goals, throw=False, **more)
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, len(whole.steps) + 1)
+        result = follow_trajectory(model, start, goals, throw=False, **more)
     assert [point.outcome == OUTCOMES.met for point in result.points] == [True, False]
     assert result.points[1].outcome == OUTCOMES.interrupted
+    # Before the second goal has an equilibrium: the only point that there is was met.
+    once = iter([_search.begin])
+
+    def begun(*args):
+        for begin in once:
+            return begin(*args)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_search, "begin", begun)
+    (point,) = follow_trajectory(model, start, goals, throw=False, **more).points
+    assert point.outcome == OUTCOMES.interrupted
 
 
 def test_a_direction_that_nothing_moves_is_named():

@@ -112,7 +112,6 @@ def export_icesl(
     )
     comments = (*report.meaning(foam, convention, plane), *notes)
     with results_folder(directory, force=force) as folder:
-        files = [_SCRIPT, _PART, report.TABLE]
         text = report.script(design.title, comments, _PART, foam.infill, chosen)
         (folder / _SCRIPT).write_text(text, encoding="utf-8")
         cut = tessellate(part.mesh)
@@ -122,9 +121,8 @@ def export_icesl(
         write_foam_table(folder / report.TABLE, foam)
         if chosen.unreachable.any():
             report.write_unreachable(folder / report.UNREACHABLE, samples, chosen)
-            files.append(report.UNREACHABLE)
         about = report.icesl_dict(written, part, foam, convention)
-        write_json(folder / "icesl.json", {**about, "files": files})
+        write_json(folder / "icesl.json", about)
     return written
 
 

@@ -96,7 +96,6 @@ def scene_data(
         "positions": (scale.length * model.mesh.points).tolist(),
         "vertex mass": masses.tolist(),
         "configurations": written,
-        "files": ["robot.vtk", "scene.py", "README.md"],
     }
 
 

@@ -208,7 +208,8 @@ def test_what_was_written_is_told(graded):
     assert about["voxels"] == {
         "n": FINE, "filled": FINE**3, "beyond": 0, "tilted": 0, "across": 0
     }  # fmt: skip
-    assert about["files"] == ["robot.lua", "robot.stl", "foam.csv"]
+    names = {path.name for path in written.directory.iterdir()} - {".softcal-files"}
+    assert names == {"icesl.json", "robot.lua", "robot.stl", "foam.csv"}
     shown = {setting["name"]: setting for setting in about["settings"]}
     for name, texture in slicer.textures.items():
         setting, full = shown[name.removesuffix("_0")], RANGES[name]
