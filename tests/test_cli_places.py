@@ -78,7 +78,7 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
     assert left_behind(tmp_path) == {"second", "fit.npz"}
     if also_there:
         (folder,) = second.iterdir()
-        assert says(then, f"results are in {folder} instead")
+        assert says(then, f"All results are in {folder}")
         assert json.loads((folder / "result.json").read_text())["converged"]
     else:
         assert says(then, f"not be written elsewhere ... {second}")

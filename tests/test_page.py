@@ -30,6 +30,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import NewtonSettings
 from softcal_jax.export import Made
+from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import independent
 from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
@@ -408,7 +409,10 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     assert says(second["alt"], "held out (held out)")
     size = (tmp_path / "out" / "droop.png").stat().st_size
     # The view takes its share of the room.
-    size += 3 * body_view(make_result(), _write._field_errors(make_result())).size // 4
+    shown = make_result()
+    estimate = shown.space, shown.z, shown.budget.covariance
+    errors = field_standard_errors(shown.model, *estimate)
+    size += 3 * body_view(shown, errors).size // 4
     monkeypatch.setattr("softcal_jax.report._pages.MOST_PICTURES", size)
     page, _ = written(tmp_path / "small", make_result())
     check_page(tmp_path / "small")

@@ -243,7 +243,7 @@ def _elsewhere(write: Callable[..., Path], show: Display) -> str:
         write(second, timing_s=show.laps)
     except OSError as error:
         return f"They could not be written elsewhere ({error}); they are printed above."
-    return f"The results are in {second} instead: copy them before it is emptied."
+    return f"All results are in {second}: copy them before it is emptied."
 
 
 def checkpoint_stands(args: argparse.Namespace) -> str:

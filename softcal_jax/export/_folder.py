@@ -195,12 +195,12 @@ def _move_into_place(partial: Path, directory: Path) -> None:
     if not directory.exists():
         os.rename(partial, directory)
         return
-    # The list is the last to go and to come: where this is cut short, the files that
-    # are left are still known, here by the old list and in `partial` by the new one.
-    last = lambda name: (name == STAMP, name)
-    new = sorted({path.name for path in partial.iterdir()} - {_REPLACED}, key=last)
-    old = sorted((name for name, same in _written(directory).items() if same), key=last)
-    foreign = [n for n in new if (directory / n).exists() and n not in old]
+    # Where this is cut short, an index has its files: new ones come before it, earlier
+    # ones go after it. The list of files, by which the rest is done later, is the last.
+    new = {path.name for path in partial.iterdir()} - {_REPLACED}
+    old = {name for name, same in _written(directory).items() if same}
+    order = lambda n: (n == STAMP, n not in new, n.endswith(".json"), n)
+    foreign = [n for n in sorted(new - old) if (directory / n).exists()]
     if foreign:
         raise FileExistsError(
             f"{directory / foreign[0]} is not part of the earlier results and would be "
@@ -209,10 +209,13 @@ def _move_into_place(partial: Path, directory: Path) -> None:
     backup = partial / _REPLACED
     backup.mkdir(exist_ok=True)
     with ExitStack() as undo:
-        for name in old:
-            os.replace(directory / name, backup / name)
-            undo.callback(os.replace, backup / name, directory / name)
-        for name in new:
-            os.replace(partial / name, directory / name)
-            undo.callback((directory / name).unlink)
+        for name in sorted(new | old, key=order):
+            place, keep = directory / name, shutil.copy2 if name in new else os.replace
+            if name in old:
+                keep(place, backup / name)
+                undo.callback(os.replace, backup / name, place)
+            else:
+                undo.callback(place.unlink, missing_ok=True)
+            if name in new:
+                os.replace(partial / name, place)
         undo.pop_all()
