@@ -165,13 +165,13 @@ def _save(
     path: str | Path,
     points: Float[HostArray, "n_points 3"],
     blocks: Sequence[tuple[str, HostArray]],
-    at_points: dict[str, HostArray],
+    at_points: dict[str, Any],
     of_cells: Mapping[str, HostArray],
 ) -> None:
     """Write cells in blocks of one kind each, which VTK would abort on a full disk."""
     ends = np.cumsum([len(cells) for _, cells in blocks])[:-1]
-    in_blocks = {name: np.split(values, ends) for name, values in of_cells.items()}
-    mesh = meshio.Mesh(points, list(blocks), at_points, in_blocks)
+    split: dict[str, Any] = {k: np.split(of, ends) for k, of in of_cells.items()}
+    mesh = meshio.Mesh(points, list(blocks), at_points, split)
     mesh.write(path, file_format="vtu")
     tree = ElementTree.parse(path)  # meshio names no components
     for array in tree.iter("DataArray"):

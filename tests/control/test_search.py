@@ -2,6 +2,7 @@
 
 import signal
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -76,7 +77,8 @@ def behind_a_fold():
     start = replace(pose(REST, EFFECTORS[1:], motor=-0.05), markers=at_end)
     goal = {"end": (LENGTH * np.cos(0.5), 0.0, 0.0)}
     limits = {"motor": Limits(displacement=(-0.1, 0.8))}
-    return arm(), start, goal, {"limits": limits}
+    more: dict[str, Any] = {"limits": limits}
+    return arm(), start, goal, more
 
 
 @pytest.mark.parametrize("step", [1, 2, 6, 12])
