@@ -1,4 +1,5 @@
 import errno
+import hashlib
 import json
 import os
 import re
@@ -123,6 +124,7 @@ def test_a_move_that_fails_is_undone(tmp_path, monkeypatch, fails_at):
 
 
 FORMAT = "softcal_jax.files/1"
+OF_THESIS = {"size": 13, "sha256": hashlib.sha256(b"years of work").hexdigest()}
 
 
 @pytest.mark.parametrize(
@@ -135,6 +137,7 @@ FORMAT = "softcal_jax.files/1"
         (LIST, "[" * 100_000),
         (LIST, "\xff"),
         (LIST, '{"files": {"thesis.tex": {}}}'),
+        (LIST, json.dumps({"format": "other/1", "files": {"thesis.tex": OF_THESIS}})),
         (LIST, json.dumps({"format": FORMAT})),
         (LIST, json.dumps({"format": FORMAT, "files": 3})),
         (LIST, json.dumps({"format": FORMAT, "files": ["thesis.tex"]})),
