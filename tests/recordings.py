@@ -15,7 +15,7 @@ NAMES = ("base", "tip")
 def motion(n_frames: int = 40) -> np.ndarray:
     """The tip rests for 20 frames, and moves by 3 mm in each one after that."""
     positions = np.zeros((n_frames, 2, 3))
-    positions[:, 0] = (1.0, 2.0, 3.0)
+    positions[:, 0], positions[:, 1, 0] = (1.0, 2.0, 3.0), 4.0
     positions[20:, 1, 2] = 3.0 * np.arange(1, n_frames - 19)
     return positions
 
@@ -30,6 +30,7 @@ def write_recording(
     events: Sequence[tuple[str, float]] = (),
     first_frame: int = 0,
     rate: float = RATE,
+    per_key: int = 255,
 ) -> Path:
     """Writes positions (frames, markers, axes), by a library that is not ours.
 
@@ -52,10 +53,13 @@ def write_recording(
         }
     if events:
         c3d.add_parameter("EVENT", "USED", [len(events)])
-        c3d.add_parameter("EVENT", "LABELS", [name for name, _ in events])
-        # Minutes, then seconds.
-        times = np.array([divmod(time, 60.0) for _, time in events]).T
-        c3d.add_parameter("EVENT", "TIMES", times)
+        for k in range(0, len(events), per_key):
+            number = str(k // per_key + 1).removeprefix("1")
+            names, times = zip(*events[k : k + per_key], strict=True)
+            c3d.add_parameter("EVENT", f"LABELS{number}", names)
+            # Minutes, then seconds.
+            both = np.array([divmod(time, 60.0) for time in times]).T
+            c3d.add_parameter("EVENT", f"TIMES{number}", both)
     c3d.write(str(path))
     return path
 

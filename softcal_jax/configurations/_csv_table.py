@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._files import check_file
+from softcal_jax._files import check_file, once
 from softcal_jax._names import check_known, check_unique, suggestion
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
@@ -88,29 +88,24 @@ def read_table(
 ) -> CsvTable:
     """Read a file and select rows, without comments (`#`) and blank lines."""
     path = Path(path)
-    texts = read_lines(path, key)
-    if len(texts) < 2:
-        raise ValueError(f"{key} file {path} holds no rows below a header.")
     check_dialect(delimiter, decimal)
-    delimiter = delimiter or delimiter_of(texts[0][1])
-    lines = read_cells(path, texts, delimiter)
+    lines, used = read_cells(path, key, delimiter)
+    if len(lines) < 2:
+        raise ValueError(f"{key} file {path} holds no rows below a header.")
     header = lines[0][1]
     check_unique(f"{path}: its column", header)
-    rows = []
     for number, cells in lines[1:]:
         if len(cells) != len(header):
-            many = delimiter == "," and len(cells) > len(header)
+            many = used == "," and len(cells) > len(header)
             hint = " If its numbers have decimal commas, put ; between columns." * many
             raise ValueError(
                 f"{path}, line {number}: {len(cells)} cells under a header of "
                 f"{len(header)} columns ({', '.join(header)}).{hint}"
             )
-        rows.append(dict(zip(header, cells, strict=True)))
-    numbers = tuple(number for number, _ in lines[1:])
-    point = decimal or decimal_of((cells for _, cells in lines), delimiter)
-    table = CsvTable(path, header, rows, numbers, key, str(path), point)
+    point = decimal or decimal_of((cells for _, cells in lines), used)
+    table = CsvTable(path, header, [], (), key, str(path), point)
     table.check_columns([key])
-    return _selected(table, select) if select else table
+    return _selected(table, lines[1:], select or {})
 
 
 def check_dialect(delimiter: str | None, decimal: str | None) -> None:
@@ -120,10 +115,6 @@ def check_dialect(delimiter: str | None, decimal: str | None) -> None:
             raise ValueError(f"{name} is {value!r}; expected one of {known}.")
     if delimiter == decimal == ",":
         raise ValueError("delimiter and decimal are both a comma; give another one.")
-
-
-def delimiter_of(text: str) -> str:
-    return max(_DELIMITERS, key=text.count)
 
 
 def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
@@ -137,16 +128,19 @@ def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
     return "," if commas else "."
 
 
+@once
 def read_cells(
-    path: Path, texts: Iterable[tuple[int, str]], delimiter: str
-) -> list[tuple[int, list[str]]]:
-    """Split lines into cells, each line by itself: no cell spans two."""
-    lines = []
+    path: Path, key: str, delimiter: str | None, head: int = 1
+) -> tuple[NumberedCells, str]:
+    """Split each line into cells, by a delimiter or that of the first `head` lines."""
+    texts, lines = read_lines(path, key), []
+    first = "".join(text for _, text in texts[:head])
+    delimiter = delimiter or max(_DELIMITERS, key=first.count)
     for number, text in texts:
         with at_line(path, number):
             cells = next(csv.reader([text], delimiter=delimiter))
         lines.append((number, [from_cell(cell.strip()) for cell in cells]))
-    return lines
+    return lines, delimiter
 
 
 def parse_number(cell: str, point: str, what: str = "a cell") -> float:
@@ -165,19 +159,21 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
         raise ValueError(f"{what} is {cell!r}, not a number{hint}.") from None
 
 
-def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
+def _selected(table: CsvTable, lines: NumberedCells, select: Mapping) -> CsvTable:
+    """Add the rows that have the values of `select`."""
     table.check_columns(select)
+    places, chosen = {c: table.header.index(c) for c in select}, lines
+    for column, value in select.items():
+        chosen = [line for line in chosen if line[1][places[column]] == value]
     listed = ", ".join(f"{column} = {value}" for column, value in select.items())
-    # The items of a dictionary are a set: those of `select` are among those of a row.
-    chosen = [i for i, row in enumerate(table.rows) if select.items() <= row.items()]
     if not chosen:
-        values = {c: dict.fromkeys(row[c] for row in table.rows) for c in select}
+        values = {c: dict.fromkeys(row[places[c]] for _, row in lines) for c in select}
         hints = (f" Values of {c} there: {', '.join(values[c])}." for c in select)
         raise ValueError(f"{table.path}: no row has {listed}.{''.join(hints)}")
     return table._replace(
-        rows=[table.rows[i] for i in chosen],
-        lines=tuple(table.lines[i] for i in chosen),
-        source=f"{table.path} ({listed})",
+        rows=[dict(zip(table.header, cells, strict=True)) for _, cells in chosen],
+        lines=tuple(number for number, _ in chosen),
+        source=f"{table.path} ({listed})" if select else table.source,
     )
 
 
@@ -197,8 +193,9 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
         if line.strip() and not line.lstrip().startswith("#")
     ]
     for number, line in lines:
-        with at_line(path, number):
-            check_characters(line)
+        if not line.isprintable():  # quick, for long tables
+            with at_line(path, number):
+                check_characters(line)
     return lines
 
 

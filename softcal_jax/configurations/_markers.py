@@ -1,6 +1,7 @@
 """Markers: points whose positions are measured, tables of these, and registration."""
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats, three_numbers
 from softcal_jax.configurations._csv_table import coordinates, read_table
 from softcal_jax.configurations._effector import EffectorRow, Unstated
+from softcal_jax.configurations._tracker import TrackerWarning
 from softcal_jax.mesh import TetMesh, locate, volumes
 
 STD = Unstated(1e-3)
@@ -230,6 +232,7 @@ class MarkerTable(Module):
         covariances: Covariance of the frames of a window of a recording about their
             mean; nan where fewer than two of them saw a marker [m2].
         window: First and last time of that window in the recording [s].
+        doubts: By marker, that it is in two places within the window.
     """
 
     names: tuple[str, ...]
@@ -238,6 +241,7 @@ class MarkerTable(Module):
     source: str
     covariances: Float[HostArray, "n_markers 3 3"] | None = None
     window: tuple[float, float] | None = None
+    doubts: Mapping[str, str] = eqx.field(default_factory=dict)
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3"]:
         """Return positions of some markers, in the order of their names [m].
@@ -245,6 +249,8 @@ class MarkerTable(Module):
         Raises:
             ValueError: If a marker is not there, or its position is not finite.
         """
+        for name in filter(self.doubts.get, names):
+            warnings.warn(f"{self.source}, {self.doubts[name]}", TrackerWarning, 2)
         remedy = "Leave a marker that was lost out of this configuration."
         return self._finite(self.positions, names, "position", remedy)
 

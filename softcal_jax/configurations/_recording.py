@@ -13,6 +13,10 @@ from softcal_jax.configurations._markers import MarkerTable, index_of
 STEP = 0.05
 """Share of the largest motion of a marker from which it has begun to move [-]."""
 
+# Sarle's coefficient of bimodality from which a marker is in two places [-]: it is 1
+# for two points, 0.67 for an oscillation, 0.56 for a drift and 0.33 for noise.
+IN_TWO = 0.75
+ROUNDING = 1e-4  # scatter that may be rounding in a file [m]
 WIDTH = 0.1  # width of the window around a single time [s]
 
 
@@ -201,6 +205,12 @@ class Recording(Module):
         off = np.where(seen[:, :, None], part - mean, 0.0)
         squares = np.einsum("fmx,fmy->mxy", off, off)
         times = self.times[inside]
+        # Moments along the axis of the largest scatter.
+        variances, axes = np.linalg.eigh(squares / np.maximum(n, 1)[:, None, None])
+        along, v = np.einsum("fmx,mx->fm", off, axes[:, :, -1]), variances[:, -1]
+        third, fourth = (np.sum(along**p, axis=0) / np.maximum(n, 1) for p in (3, 4))
+        two = (n > 2) & (third**2 + v**3 > IN_TWO * fourth * v)
+        two &= v > np.square(np.maximum(NOISE * _noise(self.positions), ROUNDING))
         return MarkerTable(
             names=self.names,
             positions=mean,
@@ -208,6 +218,12 @@ class Recording(Module):
             source=self.source,
             covariances=squares / np.where(n > 1, n - 1, np.nan)[:, None, None],
             window=(float(times[0]), float(times[-1])),
+            doubts={
+                self.names[j]: f"{window}: marker {self.names[j]!r} is in two places; "
+                f"it scatters by {1e3 * np.sqrt(v[j]):.3g} mm. Labels were exchanged, "
+                "or it moved: choose another window."
+                for j in np.flatnonzero(two)
+            },
         )
 
 

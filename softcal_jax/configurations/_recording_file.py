@@ -8,9 +8,11 @@ docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrot
 Scripts often write the numbers alone; their markers are named by place, "1", "2", ...
 """
 
+import itertools
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +27,7 @@ from softcal_jax._units import METRES
 from softcal_jax.configurations import _csv_table as csv_table
 from softcal_jax.configurations._csv_table import NumberedCells
 from softcal_jax.configurations._recording import Recording
+from softcal_jax.configurations._tracker import TrackerWarning
 
 C3D = ".c3d"
 
@@ -33,15 +36,14 @@ def is_recording(path: Path) -> bool:
     """Whether a file is a recording over time; it may be any text."""
     if path.suffix.lower() == C3D:
         return True
-    rows, _ = _rows_of(path, None)
-    return _reader_of(rows) is not None
+    return _reader_of(_rows_of(path, None)[0]) is not None
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
     """Read a recording of motion capture, with the units that the file states.
 
-    The format is that of www.c3d.org. A frame in which a marker has a negative residual
-    did not see it.
+    The format is that of www.c3d.org. A frame in which a marker has a negative
+    residual, or is at exactly (0, 0, 0), did not see it.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -59,40 +61,54 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     check_file(path, "recording")
     try:
         content = ezc3d.c3d(str(path))
-    except (OSError, RuntimeError, ValueError) as error:
+        point, data = content["parameters"]["POINT"], content["data"]
+        rate = float(point["RATE"]["value"][0])
+        event = content["parameters"].get("EVENT", {})
+        # Each time is a number of minutes and one of seconds.
+        parts = [np.reshape(part, (2, -1)) for part in _parts(event, "TIMES")]
+        times = np.array([60.0, 1.0]) @ np.concatenate([np.empty((2, 0)), *parts], 1)
+        # They count from the first frame of the trial, of which this may be a part.
+        times -= int(content["header"]["points"]["first_frame"]) / rate
+    except (LookupError, OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"recording {path} cannot be read: {error}.") from error
-    point = content["parameters"]["POINT"]
-    names = tuple(map(escaped, point["LABELS"]["value"]))
-    units = point["UNITS"]["value"] if "UNITS" in point else []
-    metres = metres_of(path, units[0] if units else "")
-    positions = np.moveaxis(np.asarray(content["data"]["points"], float), 2, 0)
-    positions = np.swapaxes(positions, 1, 2)[:, : len(names), :3] * metres
-    residuals = np.asarray(content["data"]["meta_points"]["residuals"])[0].T
-    positions[residuals[:, : len(names)] < 0.0] = np.nan
-    rate = float(point["RATE"]["value"][0])
     check_rate(path, rate)
-    # Events count from the first frame of the trial, of which this may be a part.
-    trimmed = int(content["header"]["points"]["first_frame"]) / rate
+    metres = metres_of(path, _texts(point, "UNITS", 1)[0])
+    positions = metres * np.transpose(np.asarray(data["points"], float)[:3], (2, 1, 0))
+    positions[np.asarray(data["meta_points"]["residuals"])[0].T < 0.0] = np.nan
+    positions[~positions.any(axis=2)] = np.nan
+    labels = _texts(point, "LABELS", positions.shape[1])
+    named, events = _named(path, labels), _texts(event, "LABELS", times.size)
     return Recording(
-        names=names,
+        names=tuple(labels[k] for k in named),
         times=np.arange(len(positions)) / rate,
-        positions=positions,
+        positions=positions[:, named],
         source=str(path),
-        events=_events(content["parameters"], trimmed),
+        events=tuple(zip(events, times.tolist(), strict=True)),
     )
 
 
-def _events(parameters: Any, trimmed: float) -> tuple[tuple[str, float], ...]:
-    event = parameters.get("EVENT", {})
-    if "LABELS" not in event or "TIMES" not in event:
-        return ()
-    # Each time is a number of minutes and one of seconds.
-    minutes, seconds = np.reshape(event["TIMES"]["value"], (2, -1))
-    times = 60.0 * minutes + seconds - trimmed
-    labels = map(escaped, event["LABELS"]["value"])
-    return tuple((label, float(t)) for label, t in zip(labels, times, strict=False))
+def _parts(group: Any, key: str) -> list[Any]:
+    """Return what a key has; after 255 entries it goes on in KEY2, then KEY3."""
+    keys = [key, *(f"{key}{n}" for n in range(2, 258))]
+    return [group[k]["value"] for k in keys if k in group]
 
 
+def _texts(group: Any, key: str, n: int) -> list[str]:
+    texts = [escaped(text) for part in _parts(group, key) for text in part]
+    return [*texts, *[""] * n][:n]
+
+
+def _named(path: Path, labels: Sequence[str]) -> list[int]:
+    """Return the places of labels that are not blank; a warning counts the others."""
+    named = [k for k, label in enumerate(labels) if label.strip()]
+    if len(named) < len(labels):
+        n = len(labels) - len(named)
+        text = f"{path}: {n} of {len(labels)} markers have no label and are left out."
+        warnings.warn(text, TrackerWarning, stacklevel=3)
+    return named
+
+
+_AXES = ["X", "Y", "Z"]
 _GAPS = {"", "nan", "null"}
 """What stands for a coordinate of a marker that was not seen, in lower case."""
 
@@ -106,9 +122,9 @@ _CELL = "a cell (blank, nan or NULL where a marker was not seen)"
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
-    Each label has the first of its three columns, and events have times [s]. The number
-    in the `time_column`, or else the number of the row, over `rate` is the time in
-    seconds. `zero_is_gap` where a marker at exactly (0, 0, 0) was not seen.
+    Each label, which may be blank, has the first of its three columns, and events have
+    times [s]. The number in the `time_column`, or else the number of the row, over
+    `rate` is the time in seconds.
     """
 
     labels: Sequence[tuple[str, int]]
@@ -117,7 +133,6 @@ class _Layout(NamedTuple):
     time_column: int | None
     rate: float = 1.0
     events: tuple[tuple[str, float], ...] = ()
-    zero_is_gap: bool = False
 
 
 def read_recording(
@@ -131,10 +146,10 @@ def read_recording(
 
     A table of numbers alone has the time in seconds, perhaps after the number of the
     frame, then x, y, z of each marker; markers are named by place, "1", "2" and so on.
-    Of other text, labels and unit are those of the header. Blank cells are occlusions;
-    in a file of QTM, which may write zeros instead, so are markers at exactly (0, 0,
-    0). Of Motive's columns only the measured ones, of type "Marker", are read, and not
-    those that it computes from rigid bodies.
+    Of other text, labels and unit are those of the header. Blank cells are occlusions,
+    and so are markers at exactly (0, 0, 0), which QTM and scripts write instead. Of
+    Motive's columns only the measured ones, of type "Marker", are read, and not those
+    that it computes from rigid bodies.
 
     Options are for text only. The `length_unit` is for a file that states none, like
     those of QTM (which are in mm) or of numbers alone; `delimiter` and `decimal` are as
@@ -176,14 +191,15 @@ def read_recording(
         ) from error
     check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
-    cells = [cells for _, cells in layout.rows]
-    point = decimal or csv_table.decimal_of(cells, delimiter)
+    point = decimal or csv_table.decimal_of((c for _, c in layout.rows), delimiter)
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
+    labels = [label for label, _ in layout.labels]
+    named = _named(path, labels)
     return Recording(
-        names=tuple(label for label, _ in layout.labels),
+        names=tuple(labels[k] for k in named),
         times=times - begin,
-        positions=metres * positions,
+        positions=metres * positions[:, named],
         source=str(path),
         events=tuple((name, time - begin) for name, time in layout.events),
     )
@@ -191,11 +207,8 @@ def read_recording(
 
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     """Split a file into cells, by a given delimiter or else that of the header."""
-    lines = csv_table.read_lines(path, "recording")
-    head = "".join(text for _, text in lines[:12])
-    delimiter = delimiter or csv_table.delimiter_of(head)
-    rows = csv_table.read_cells(path, lines, delimiter)
-    return [(number, cells) for number, cells in rows if any(cells)], delimiter
+    rows, used = csv_table.read_cells(path, "recording", delimiter, 12)
+    return [(number, cells) for number, cells in rows if any(cells)], used
 
 
 def check_rate(path: Path, rate: float) -> None:
@@ -240,14 +253,14 @@ def _numbers(
             for k, column in enumerate(columns):
                 if cells[column].lower() not in _GAPS:
                     values[i, k] = csv_table.parse_number(cells[column], point, _CELL)
-            if i and not times[i] > times[i - 1]:
+            before = times[i - 1] if i else -math.inf
+            if not before < times[i] < math.inf:
                 raise ValueError(
                     f"its time, {times[i]:g} s, is not after that of the frame before, "
-                    f"{times[i - 1]:g} s."
+                    f"{before:g} s."
                 )
     positions = values.reshape(len(times), -1, 3)
-    if layout.zero_is_gap:
-        positions[np.all(positions == 0.0, axis=2)] = np.nan
+    positions[~positions.any(axis=2)] = np.nan
     return times, positions
 
 
@@ -261,10 +274,11 @@ def _motive(rows: NumberedCells) -> _Layout:
     # Rows between: types, names, in most versions IDs and parents, quantities.
     (_, types), (_, names), *_, (_, whats) = rows[1:header]
     axes = rows[header][1]
+    cells = itertools.zip_longest(types, names, whats, fillvalue="")
     labels = [
-        (names[k], k)
-        for k, kind in enumerate(zip(types, whats, strict=False))
-        if kind == ("Marker", "Position") and axes[k : k + 3] == ["X", "Y", "Z"]
+        (name, k)
+        for k, (kind, name, what) in enumerate(cells)
+        if (kind, what) == ("Marker", "Position") and axes[k : k + 3] == _AXES
     ]
     if not labels:
         kinds = ", ".join(sorted({*types} - {"Type", ""}))
@@ -281,8 +295,8 @@ def _vicon(rows: NumberedCells) -> _Layout:
     """Read the header of the section Trajectories: rate, labels, axes, units."""
     start = _starts(rows).index("Trajectories")
     (_, rate), (_, names), (_, axes), (_, units) = rows[start + 1 : start + 5]
-    named = [(name, k) for k, name in enumerate(names) if name]
-    labels = [(name, k) for name, k in named if axes[k : k + 3] == ["X", "Y", "Z"]]
+    of_markers = [k for k in range(len(axes)) if axes[k : k + 3] == _AXES]
+    labels = [("".join(names[k : k + 1]), k) for k in of_markers]
     stated = {unit for _, k in labels for unit in units[k : k + 3]}
     frames = rows[start + 5 :]
     # Another section may follow.
@@ -302,11 +316,12 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     about = {cells[0]: cells[1:] for _, cells in rows[: last + 1]}
     if about["DATA_INCLUDED"][0] != "3D":
         raise ValueError(f"it includes {about['DATA_INCLUDED'][0]} data")
-    labels = [label for label in about["MARKER_NAMES"] if label]
+    labels = about["MARKER_NAMES"][: int(about["NO_OF_MARKERS"][0])]
     rest = [row for row in rows[last + 1 :] if row[1][0] != "TRAJECTORY_TYPES"]
     titles = rest[0][1] if rest else []
-    if f"{labels[0] if labels else ''} X" in titles:
-        first, rest = titles.index(f"{labels[0]} X"), rest[1:]
+    title = f"{labels[0] if labels else ''} X".strip()
+    if title in titles:
+        first, rest = titles.index(title), rest[1:]
     else:  # a tab may end the row
         first = (len(titles) - 3 * len(labels)) // 2 * 2
     if first not in (0, 2):  # there may be Frame and Time before
@@ -323,7 +338,6 @@ def _qualisys(rows: NumberedCells) -> _Layout:
             for _, cells in rows[:last]
             if cells[0] == "EVENT" and len(cells) > 3
         ),
-        zero_is_gap=True,
     )
 
 

@@ -24,7 +24,7 @@ _ONE_POSE = np.deg2rad(30.0)
 
 
 class TrackerWarning(SoftcalWarning):
-    """Something in a tracker's file that is probably a mistake."""
+    """Something in a file of a tracker or of motion capture that may be a mistake."""
 
 
 class PoseTable(Module):

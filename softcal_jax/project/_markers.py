@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
+from softcal_jax._files import once
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     STD,
@@ -83,6 +84,8 @@ def _which(value: Any, kinds: Sequence[Any]) -> Any:
 
 Which = Annotated[WindowTable | Selection, Choice(_which)]
 """What is taken of a file: a window of a recording, or rows of a table."""
+
+_read_once = once(read_recording)
 
 CameraAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -222,7 +225,7 @@ class MeasuredTable(DialectTable):
 
     def _read_recording(self, path: Path, needed: Sequence[str]) -> Recording:
         """Read a recording, with markers under the names that the project has."""
-        recording = read_recording(path, **self.dialect)
+        recording = _read_once(path, **self.dialect)
         labels = {
             name: label
             for name, label in self.labels.items()

@@ -1,11 +1,13 @@
 """Recordings of motion capture, against files that ezc3d writes."""
 
+import re
+
 import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_recording
 from wording import says
 
-from softcal_jax.configurations import Recording, read_c3d
+from softcal_jax.configurations import Recording, TrackerWarning, read_c3d
 
 pytest.importorskip("ezc3d")
 
@@ -26,7 +28,7 @@ def test_windows_count_from_the_step(tmp_path):
     heights = both.positions_of(["tip", "base"])[:, 2]
     np.testing.assert_allclose(heights, expected, rtol=1e-6)
     before = recording.between(-0.2, -0.1, after_step_of="tip")
-    np.testing.assert_allclose(before.positions_of(["tip"]), np.zeros((1, 3)))
+    np.testing.assert_allclose(before.positions_of(["tip"]), [[4e-3, 0.0, 0.0]])
     absolute = recording.between(0.31, 0.33)
     np.testing.assert_array_equal(absolute.positions, both.positions)
 
@@ -99,6 +101,39 @@ def test_events_of_a_part_of_a_trial(tmp_path):
     assert read_c3d(path).time_of("valve opens") == pytest.approx(0.15)
 
 
+def test_all_labels_and_events_are_read(tmp_path):
+    """A key of the format holds 255; more stand under names with a number."""
+    labels = [f"m{k}" for k in range(600)]
+    positions = np.arange(3 * 600 * 2.0).reshape(2, 600, 3) + 1.0
+    events = [(f"e{k}", 0.01 * k) for k in range(7)]
+    path = tmp_path / "many.c3d"
+    write_recording(path, positions, labels=labels, events=events, per_key=3)
+    recording = read_c3d(path)
+    assert recording.names == tuple(labels)
+    np.testing.assert_allclose(recording.positions, 1e-3 * positions, rtol=1e-6)
+    assert [name for name, _ in recording.events] == [name for name, _ in events]
+    assert recording.time_of("e6") == pytest.approx(0.06)
+
+
+def test_points_without_a_label_are_left_out(tmp_path):
+    path, positions = tmp_path / "a.c3d", np.tile(motion(), (1, 2, 1))
+    write_recording(path, positions, labels=("base", "", "tip", " "))
+    with pytest.warns(TrackerWarning, match=r"a\.c3d: 2 of 4 markers have no label"):
+        recording = read_c3d(path)
+    assert recording.names == ("base", "tip")
+    np.testing.assert_allclose(recording.positions, 1e-3 * positions[:, ::2], rtol=1e-6)
+
+
+def test_zeros_are_gaps(tmp_path):
+    """A marker at the origin to the last digit was not seen, whoever wrote that."""
+    positions = motion()
+    positions[25:30, 1] = 0.0
+    recording = read_c3d(write_recording(tmp_path / "a.c3d", positions))
+    assert np.isnan(recording.positions[25:30, 1]).all()
+    height = recording.between(0.24, 0.30).positions_of(["tip"])[0, 2]
+    assert height == pytest.approx(1e-3 * np.mean([15.0, 33.0]))
+
+
 def noisy(seed=0, *, std=0.05e-3):
     """A marker that rests, moves by 20 mm, creeps by 1 %, and is let go again."""
     rng = np.random.default_rng(seed)
@@ -143,6 +178,35 @@ def test_scatter_over_a_window():
     assert table.window == pytest.approx((3.0, 3.39))
     with pytest.raises(ValueError, match=r"scatter .*'base' .*longer window"):
         table.covariances_of(["base"])
+
+
+@pytest.mark.parametrize("share", [0.04, 0.3, 0.5])
+@pytest.mark.parametrize("std", [0.0, 0.05e-3, 0.5e-3])
+def test_exchanged_labels_in_a_part_of_a_window(std, share):
+    """The mean is between two places, which the scatter of either tells apart."""
+    positions = np.zeros((400, 2, 3)) + 0.1
+    positions[:, 1, 0] += 12e-3
+    positions += std * np.random.default_rng(1).normal(size=positions.shape)
+    changed = slice(200, 200 + round(100 * share))
+    positions[changed] = positions[changed, ::-1]
+    recording = Recording(NAMES, np.arange(400) / RATE, positions, "run")
+    table = recording.between(2.0, 2.99)
+    scatter = 12.0 * np.sqrt(share * (1.0 - share))  # mm, without noise
+    with pytest.warns(TrackerWarning, match="2 and 2.99 s: .*'tip' .*two") as caught:
+        table.positions_of(["tip"])
+    stated = float(re.search(r"by (\S+) mm", str(caught[0].message))[1])
+    assert stated == pytest.approx(scatter, rel=0.1)
+    recording.between(1.0, 1.99).positions_of(NAMES)  # no warning
+
+
+@pytest.mark.parametrize("n", [3, 5, 100])
+def test_noise_drift_and_vibration_are_one_place(n):
+    rng, t = np.random.default_rng(2), np.arange(100) / RATE
+    smooth = (t, np.sin(30.0 * t), np.exp(-t)) if n > 5 else ()
+    paths = [path[:, None] * [1.0, 0.3, 0.0] for path in smooth]
+    for path in (*paths, *rng.normal(size=(50, 100, 3))):
+        whole = Recording(("tip",), t, path[:, None], "run")
+        whole.between(0.0, t[n - 1]).positions_of(["tip"])
 
 
 @pytest.mark.parametrize("seed", range(5))

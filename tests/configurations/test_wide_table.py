@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_motive, write_qualisys, write_vicon
 
-from softcal_jax.configurations import is_recording, read_recording
+from softcal_jax.configurations import (
+    TrackerWarning,
+    is_recording,
+    read_recording,
+)
 
 
 def seen():
@@ -72,8 +76,36 @@ def test_zeros_are_gaps_only_where_all_three_are(tmp_path):
     """A marker that moves in a plane of the frame is seen."""
     path = write_qualisys(tmp_path / "run.tsv", motion())
     positions = read_recording(path, length_unit="mm").positions
-    np.testing.assert_allclose(positions[20:], 1e-3 * motion()[20:], atol=1e-9)
-    assert np.isnan(positions[:20, 1]).all()  # the origin itself
+    np.testing.assert_allclose(positions, 1e-3 * motion(), atol=1e-9)
+
+
+@pytest.mark.parametrize("write", [write_motive, write_vicon, write_qualisys])
+def test_zeros_are_gaps(tmp_path, write):
+    positions = motion()
+    positions[:20, 1] = 0.0
+    path = write(tmp_path / "a.csv", positions)
+    unit = "mm" if write is write_qualisys else None
+    positions = read_recording(path, length_unit=unit).positions
+    assert np.isnan(positions[:20, 1]).all()
+    assert np.isfinite(positions[20:]).all()
+    assert np.isfinite(positions[:, 0]).all()
+
+
+@pytest.mark.parametrize("titles", [True, False])
+@pytest.mark.parametrize("write", [write_motive, write_vicon, write_qualisys])
+def test_markers_without_a_name_are_left_out(tmp_path, write, titles):
+    """Those that have one keep their columns."""
+    more = {"titles": titles, "timed": titles} if write is write_qualisys else {}
+    three = np.concatenate([seen()[:, :1], seen() + 1.0], axis=1)
+    labels = ("base", "", "tip")
+    path = write(tmp_path / "a.csv", three, labels=labels, **more)
+    if write is write_vicon:
+        path.write_text(path.read_text().replace("arm:,", ","))
+    unit = "mm" if write is write_qualisys else None
+    with pytest.warns(TrackerWarning, match=r"a\.csv: 1 of 3 markers"):
+        recording = read_recording(path, length_unit=unit)
+    assert [name[-3:] for name in recording.names] == ["ase", "tip"]
+    np.testing.assert_allclose(recording.positions, 1e-3 * three[:, ::2], atol=1e-9)
 
 
 @pytest.mark.parametrize("gap", ["", "NaN", "NULL"])

@@ -6,14 +6,14 @@ length, and each corner is where two of them meet.
 """
 
 from collections.abc import Mapping
-from functools import lru_cache
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 
-from softcal_jax._files import check_file
+from softcal_jax._files import check_file, once
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.camera._sheet import CELLS, dictionary, opencv
 
@@ -42,6 +42,7 @@ class Photo(NamedTuple):
     corners: Mapping[int, Float[HostArray, "4 2"]]
 
 
+@once
 def read_photo(path: Path) -> Photo:
     """Find the tags on a photograph, which may be any file that OpenCV reads.
 
@@ -54,20 +55,16 @@ def read_photo(path: Path) -> Photo:
         ValueError: If it cannot be read, or one tag occurs twice.
     """
     check_file(path, "photograph")
-    stat = path.stat()
-    return _read(path.resolve(), stat.st_mtime_ns, stat.st_size)._replace(path=path)
-
-
-@lru_cache(maxsize=500)  # poses share the photographs of the board
-def _read(path: Path, changed: int, size: int) -> Photo:
-    """Find the tags on a photograph; all arguments are the key of the cache."""
     cv2 = opencv()
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    image = None
     # Decoded from memory, since OpenCV opens no names but ASCII ones on Windows.
-    image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
+    with suppress(cv2.error):  # of an empty file, or of 2^30 pixels and more
+        image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
     if image is None:
         raise ValueError(
-            f"photograph {path} cannot be read; save it as JPEG or PNG (not HEIC)."
+            f"photograph {path} cannot be read, or is larger than 1000 megapixels; "
+            "save it as JPEG or PNG (not HEIC)."
         )
     detector = cv2.aruco.ArucoDetector(dictionary(), cv2.aruco.DetectorParameters())
     outlines, numbers, _ = detector.detectMarkers(image)
