@@ -54,10 +54,10 @@ MOST_NAMED = 6  # most poses or parameters that share a sentence
 
 
 def listed(names: Sequence[str], most: int | None = None) -> str:
-    """Join names as in a sentence: "a, b and c"; beyond `most`, "a, b and 7 more"."""
+    """Join names like "a, b and c", or beyond `most` "a, b and 7 more"; else "none"."""
     if most is not None and len(names) > most:
         names = [*names[:most], f"{len(names) - most} more"]
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]])) or "none"
 
 
 def name_key(name: str) -> int:

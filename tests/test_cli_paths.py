@@ -46,6 +46,39 @@ def top(tmp_path_factory):
     return folder.parent
 
 
+NO_NAME = "x" * 5000
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "p.toml", "-o", f"{NO_NAME}.png"),
+        ("mesh", "p.toml", "-o", f"{NO_NAME}.msh"),
+        ("tags", "-o", f"{NO_NAME}.pdf"),
+        ("export", "inp", "out", "-o", f"{NO_NAME}.inp"),
+        ("export", "sofa", "out", "-o", NO_NAME),
+        ("demo", "--write", NO_NAME),
+        ("new", NO_NAME, "--robot", "beam"),
+        ("identify", "p.toml", "-o", NO_NAME),
+        ("calibrate", NO_NAME, "-o", "out"),
+        ("sweep", NO_NAME),
+        ("sweep", "show", NO_NAME),
+        ("sweep", "show", "p.toml", "--csv", NO_NAME),
+        ("transfer", NO_NAME, "p.toml"),
+    ],
+    ids=lambda words: " ".join(words).partition(NO_NAME)[0],
+)
+def test_a_name_that_no_disk_takes(tmp_path, monkeypatch, capsys, words):
+    """Said without a traceback, and without all of its letters."""
+    monkeypatch.chdir(tmp_path)
+    write_small_project(tmp_path).rename("p.toml")
+    assert main([*words]) == 2
+    error = capsys.readouterr().err
+    assert "too long" in error
+    assert len(error) < 700
+    assert {path.name for path in tmp_path.iterdir()} == {"p.toml", "markers.csv"}
+
+
 @pytest.fixture
 def run(top, monkeypatch, capsys):
     """Runs a command in a folder below the top, and returns what it printed."""

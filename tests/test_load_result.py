@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 
 import jax.numpy as jnp
@@ -186,7 +187,13 @@ def edited(folder, change):
         (lambda d: d.update(format="softcal_jax.simulation/1"), "softcal_jax.simula"),
         (lambda d: d.pop("format"), "format is None"),
         (lambda d: d["parameters"][0].update(value=None), r"parameters\.0\.value: "),
+        (lambda d: d["parameters"][0].update(value=math.nan), "value of E is nan"),
+        (lambda d: d["parameters"][0].update(value=-3e5), "value of E is -3"),
         (lambda d: d["parameters"][0].update(name="G"), "parameters were G and are E"),
+        (
+            lambda d: (d["parameters"].clear(), d["budget"].update(covariance=[])),
+            "parameters were none and are E",
+        ),
         (lambda d: d["solver"].update(n_tets=7), "n_tets was 7 and is 18"),
     ],
 )

@@ -100,6 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return cli.OK
     except cli.Stop as stop:
         text, code = str(stop), stop.code
+    except OSError as error:
+        text, code = str(cli.refusal(error)), cli.BAD_INPUT
     except KeyboardInterrupt as stop:
         kept = " ".join(filter(None, (str(stop), cli.checkpoint_stands(args))))
         text = f"interrupted. {kept}" if kept else "interrupted; nothing was written."

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import shtab
 
-from softcal_jax._places import check_place
-from softcal_jax._text import escaped
+from softcal_jax._places import cause, check_place
+from softcal_jax._text import escaped, with_short_names
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.cli._display import Display
 
@@ -201,7 +201,15 @@ def bad_input(*others: type[Exception]) -> Iterator[None]:
     try:
         yield
     except (ValueError, OSError, ImportError, *others) as error:
-        raise Stop(BAD_INPUT, f"error: {error}") from error
+        raise refusal(error) from error
+
+
+def refusal(error: Exception) -> Stop:
+    """Make the message of an error; that of the system has a number and any path."""
+    text = str(error)
+    if isinstance(error, OSError) and error.errno is not None:
+        text = f"{error.filename}: {cause(error)}; give another one."
+    return Stop(BAD_INPUT, f"error: {with_short_names(text)}")
 
 
 def write_results(

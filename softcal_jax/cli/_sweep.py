@@ -84,9 +84,9 @@ def sweep(args: argparse.Namespace, show: cli.Display) -> None:
         raise cli.Stop(cli.INTERRUPTED, text) from None
     show.lap("trials")
     show.line()
-    show.line(sweep_table(result))
-    show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
-    with cli.bad_input():
+    with cli.bad_input():  # rows that were edited
+        show.line(sweep_table(result))
+        show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
         page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
     show.line(f"Report: open {page} in a browser.")
     show.times()

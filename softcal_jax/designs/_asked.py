@@ -118,7 +118,7 @@ def within(foam: FoamTable, model: Model, space: ParameterSpace) -> ParameterSpa
     if len(moduli) != 1 or not all(moduli):
         raise ValueError(
             f"{foam.infill} limits E_l and E_t together, or E of an isotropic body, "
-            f"and the design has {listed(space.field_names) or 'no field'}: design "
+            f"and the design has {listed(space.field_names)}: design "
             "both moduli, or leave the foam out."
         )
     ends = isotropic_range(foam)

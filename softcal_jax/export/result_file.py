@@ -78,6 +78,7 @@ _STARTS = Keys(
     "names starts values cost steps converged optima second_best missed",
 )
 
+Number = Annotated[float | None, BeforeValidator(plain)]
 Plain = Annotated[Any, BeforeValidator(plain)]
 Millimetres = Annotated[float | None, _converted(1e3)]
 Percent = Annotated[float | None, _converted(100.0)]
@@ -122,8 +123,8 @@ class ParameterEntry(Entry):
     value: float
     standard_error: Plain = None
     start: Plain = None
-    lower: Plain = None
-    upper: Plain = None
+    lower: Number = None
+    upper: Number = None
     unit: Plain = None
     at_bound: Plain = None
     interval: Plain = None

@@ -1,6 +1,5 @@
 """Load a calibration that was written to a results folder."""
 
-import json
 import os
 import warnings
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
@@ -176,17 +176,17 @@ def _read(path: Path) -> ResultFile:
     """Read and check the file."""
     check_file(path, "result file")
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text)
+        text = path.read_text(encoding="utf-8-sig")
+        content = from_json(text)
         kind = content.get("format") if isinstance(content, dict) else None
         if kind != RESULT_FORMAT:
-            raise ResultError(
-                f"{path}: its format is {kind!r}; expected {RESULT_FORMAT!r}, which "
-                "softcal calibrate of this version writes: calibrate again, or load it "
-                "with the version that wrote it."
+            raise ValueError(
+                f"Its format is {kind!r}; expected {RESULT_FORMAT!r}: calibrate again, "
+                "or load it with the version that wrote it"
             )
-        data = ResultFile.model_validate_json(text)
-    except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        data = ResultFile.model_validate_json(text, strict=True)
+        _check_values(data)
+    except ValueError as error:  # of JSON, UTF-8 and pydantic as well
         what = str(error)
         if isinstance(error, ValidationError):
             first = error.errors()[0]
@@ -202,6 +202,21 @@ def _read(path: Path) -> ResultFile:
             stacklevel=3,
         )
     return data
+
+
+def _check_values(data: ResultFile) -> None:
+    """Raise ValueError for values that no calibration gives."""
+    for p in data.parameters:
+        ordered = [x for x in (p.lower, p.value, p.upper) if x is not None]
+        off = np.diff(ordered) < -1e-9 * abs(p.value)  # it may lie on a bound
+        if not np.isfinite(p.value) or np.any(off):
+            bounds = f"its bounds {p.lower} and {p.upper}"
+            raise ValueError(f"The value of {p.name} is {p.value:g}, not in {bounds}")
+    n, C = len(data.parameters), data.budget.covariance
+    if [len(row) for row in C] != [n] * n or any(
+        (C[i][i] or 0.0) < 0 for i in range(n)
+    ):
+        raise ValueError(f"budget.covariance is none of {n} parameters")
 
 
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
@@ -236,8 +251,7 @@ def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterS
     ]
     known = [] if space is None else space.names
     if known != names:
-        now = listed(known) if known else "none"
-        problems.append(f"the parameters were {listed(names)} and are {now}")
+        problems.append(f"the parameters were {listed(names)} and are {listed(known)}")
     if problems or space is None:
         before, now = data.versions.get("softcal_jax"), installed_version("softcal-jax")
         raise ResultError(

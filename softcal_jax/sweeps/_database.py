@@ -10,9 +10,11 @@ import json
 import math
 import os
 import sqlite3
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from threading import Lock, Timer
@@ -23,7 +25,7 @@ from pydantic import TypeAdapter
 from softcal_jax._files import check_file
 from softcal_jax._places import only_writer
 from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._row import OUT_OF_RANGE, TrialRow
 from softcal_jax.sweeps._trial import Trial
 
 APPLICATION = 0x50F7CA1
@@ -186,13 +188,15 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
         ended = {row[0]: row for row in rows}
     with _as_written(f"{path}, table sweep"):
         about = {what: json.loads(texts[what]) for what in ("name", "axes", "repeats")}
+        axes = tuple(about["axes"])
+        of_axes = lambda point: {axis: point[axis] for axis in axes}
         return SweepResult(
             name=about["name"],
-            axes=tuple(about["axes"]),
+            axes=axes,
             repeats=tuple(about["repeats"]),
-            planned=_Read(path, plan, json.loads),
+            planned=_Read(path, plan, lambda text: of_axes(json.loads(text))),
             states={key: row[_OF_STATE] for key, row in ended.items()},
-            ended=_Read(path, ended, _row),
+            ended=_Read(path, ended, lambda stored: _row(stored, of_axes)),
         )
 
 
@@ -201,7 +205,7 @@ def _as_written(where: str) -> Iterator[None]:
     """Name the place in errors about values that no sweep has written."""
     try:
         yield
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(
             f"{where}: {error}. No sweep has written that: take an earlier copy of the "
             "file, or remove it to start anew."
@@ -226,12 +230,14 @@ class _Read(Mapping[str, Any]):
         return len(self._stored)
 
 
-def _row(stored: Sequence[Any]) -> TrialRow:
+def _row(stored: Sequence[Any], of_axes: Callable) -> TrialRow:
     named = dict(zip(_COLUMNS, stored, strict=True))
     row = _ROW.validate_python(named | {k: json.loads(named[k]) for k in _AS_JSON})
     if Trial(row.point).key != row.key:
         raise ValueError(f"its point is {row.point}, which is not that of this key")
-    return row
+    beyond = lambda v: isinstance(v, int | float) and not abs(v) <= sys.float_info.max
+    figures = {k: OUT_OF_RANGE if beyond(v) else v for k, v in row.figures.items()}
+    return replace(row, point=of_axes(row.point), figures=figures)
 
 
 def _open(database: str | Path, **options: Any) -> sqlite3.Connection:

@@ -23,6 +23,7 @@ State = Literal["converged", "not converged", "failed"]
 
 Figure = bool | float | int | str | None
 
+OUT_OF_RANGE = "out of range"  # a figure that no sweep writes, like 1e400
 WINDOW = 50  # number of recent trials over which the rate is averaged
 
 

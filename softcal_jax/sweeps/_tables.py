@@ -18,7 +18,7 @@ from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
-from softcal_jax.sweeps._row import TrialRow, flat_columns
+from softcal_jax.sweeps._row import OUT_OF_RANGE, TrialRow, flat_columns
 from softcal_jax.sweeps._trial import describe, shown
 
 ROUNDING = 1e-9
@@ -109,6 +109,8 @@ def sweep_table(
 def _cell(line: Group | TrialRow, figure: str, factor: float) -> str:
     """Write a figure of a trial, or its mean over the trials of a group."""
     if isinstance(line, Group):
+        if any(row.figures.get(figure) == OUT_OF_RANGE for row in line.rows):
+            return OUT_OF_RANGE
         return mean_text(factor * line.numbers(figure))
     value = line.figures.get(figure)
     return f"{factor * value:.5g}" if isinstance(value, int | float) else value or "-"

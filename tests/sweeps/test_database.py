@@ -1,13 +1,21 @@
 """What a database of a sweep refuses, and what a full disk or an edit does to it."""
 
+import io
 import sqlite3
 import time
 
 import cheap
 import pytest
+from rich.console import Console
 from rows import substance
 
-from softcal_jax.sweeps import _database as database_module, grid, read_sweep, run_sweep
+from softcal_jax.sweeps import (
+    _database as database_module,
+    grid,
+    read_sweep,
+    run_sweep,
+    sweep_table,
+)
 from softcal_jax.sweeps._row import run_trial
 from softcal_jax.sweeps._trial import as_trials
 
@@ -125,6 +133,8 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
         ("UPDATE trials SET notes = '3'", "notes"),
         ("UPDATE trials SET point = '{\"E\": 2}'", r"point is \{'E': 2\}"),
         ("UPDATE plan SET point = '{'", "Expecting property name"),
+        (f"UPDATE trials SET notes = '{'[' * 3000}'", "recursion"),
+        ("UPDATE sweep SET value = '[\"kind\", \"b\"]' WHERE what = 'axes'", "'b'"),
     ],
 )
 def test_a_database_that_was_edited_names_the_trial(tmp_path, statement, message):
@@ -136,6 +146,22 @@ def test_a_database_that_was_edited_names_the_trial(tmp_path, statement, message
     refused = rf"(?s)s\.sqlite, trial {row.key}: .*{message}.*earlier copy"
     with pytest.raises(ValueError, match=refused):
         read_sweep(path).groups()
+
+
+@pytest.mark.parametrize("number", ["1e400", "-1e400", "9" * 400])
+def test_a_figure_out_of_range_is_shown_as_that(tmp_path, number):
+    path = tmp_path / "s.sqlite"
+    run_sweep(lambda trial: {"x": 1.5}, grid({"E": [1, 2]}), path, workers=0)
+    with sqlite3.connect(path) as file:
+        changed = f"UPDATE trials SET figures = '{{\"x\": {number}}}' WHERE rowid = 1"
+        file.execute(changed)
+    file.close()
+    result = read_sweep(path)
+    for every in (False, True):
+        console = Console(width=80, record=True, file=io.StringIO())
+        console.print(sweep_table(result, every=every))
+        assert console.export_text().count("out of range") == 1
+    assert result.numbers("x").tolist() == [1.5]
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
     for photo in photos:
         for number in numbers:
             if number not in photo.corners:
-                seen = listed([str(n) for n in sorted(photo.corners)]) or "none"
+                seen = listed([str(n) for n in sorted(photo.corners)])
                 wrong.append(
                     f"photograph {photo.path} does not show tag {number}; tags there: "
                     f"{seen}."

@@ -1,5 +1,7 @@
 """A camera calibrated by the printed board, from corners with known noise."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +10,10 @@ from scipy.stats import chi2
 
 from benchmarks._photographs import board, clear_views, phone, random_views
 from benchmarks._tags import difference
-from softcal_jax.exchange.camera import _photos, tag_corners, tag_pose
+from softcal_jax.exchange.camera import _photos, read_photo, tag_corners, tag_pose
 from softcal_jax.exchange.camera._adjustment import CameraModel, Placement
 from softcal_jax.exchange.camera._detection import Photo
+from softcal_jax.exchange.camera._sheet import opencv
 
 LENS, NOISE, SIZE = phone(), 0.05, 20e-3
 TARGET = Placement(np.eye(3), np.array([0.06, 0.02, 0.015]))
@@ -61,3 +64,23 @@ def test_a_pose_has_the_camera_of_the_board(photos, monkeypatch):
     assert np.all(after[:3] < 0.1e-3)
     off = difference(helped, TARGET)
     assert off @ np.linalg.solve(helped.covariance, off) < chi2.ppf(0.999, 6)
+
+
+def huge_png():
+    """The header of a picture of 60 000 x 60 000, and nothing after it."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    sum_of = struct.pack(">I", zlib.crc32(header))
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + sum_of
+
+
+@pytest.mark.parametrize("content", [b"", b"no picture", huge_png()], ids=len)
+def test_what_is_no_photograph(tmp_path, content):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.png cannot be read.*JPEG or PNG"):
+        read_photo(tmp_path / "a.png")
+
+
+def test_a_photograph_without_a_tag(tmp_path):
+    opencv().imwrite(str(tmp_path / "a.png"), np.full((50, 50), 255, np.uint8))
+    with pytest.raises(ValueError, match=r"does not show tag 3; tags there: none\."):
+        tag_pose([tmp_path / "a.png"], tag=3, base_tag=0, size=SIZE)
