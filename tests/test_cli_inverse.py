@@ -172,6 +172,8 @@ def test_an_actuator_that_the_configuration_does_not_command(calibrated, tmp_pat
          "leave different coordinates free"),
         ([*WEIGHT, "--goal", "pushed=7 mm"], "goal of 'pushed': "),
         ([*WEIGHT, "--goal", "end={ position = 1"], "no inline table"),
+        ([*WEIGHT, "--goal", "end={ }\nother = { }"], "inline table ... after its end"),
+        ([*WEIGHT, "--goal", "end=" + "{a=" * 3000], "no inline table"),
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--goal", "tip=(1, 2, 4) mm"],
          "'tip' ... twice"),
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--limit", "pull=0 N to 1 N"],

@@ -58,11 +58,6 @@ class HostPardiso(AbstractLinearSolver):
                 f"solver='pardiso-host' needs two threads of JAX, which has {threads}: "
                 "set PJRT_NPROC=2 before Python starts."
             )
-        if find_spec("pypardiso") is None:
-            raise ImportError(
-                'solver="pardiso-host", that of a GPU, needs pypardiso: '
-                "`pip install 'softcal-jax[gpu]'` on x86-64."
-            )
         return cls(sparsity)
 
     def _factor_solve(self, values, rhs):
@@ -134,6 +129,7 @@ class NoSolver(AbstractLinearSolver):
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _KINDS = {**_ON_CPU, "none": NoSolver, "pardiso-host": HostPardiso}
+_PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax", "pardiso-host": "pypardiso"}
 
 
 def solver_kind(name: str | None) -> type[AbstractLinearSolver]:
@@ -149,19 +145,23 @@ def solver_kind(name: str | None) -> type[AbstractLinearSolver]:
             'leave solver out for "pardiso-host", or set JAX_PLATFORMS=cpu before '
             "Python starts."
         )
-    if name in _KINDS:
-        return _KINDS[name]
-    if name is not None:
+    installed = [key for key in _PACKAGES if find_spec(_PACKAGES[key]) is not None]
+    if name is None and backend != "cpu":
+        name = "pardiso-host"
+    elif name is None:
+        name = next((key for key in _ON_CPU if key in installed), None)
+    if name is None:
+        raise ImportError(
+            "no sparse direct solver is installed: `pip install softcal-jax` brings "
+            "the one of your platform (pardiso-mkl-jax or klujax)."
+        )
+    if name not in _KINDS:
         raise ValueError(
             f"solver must be one of {sorted(_KINDS)}, or left out for that of the "
             f"platform, got {name!r}.{suggestion(name, _KINDS)}"
         )
-    if backend != "cpu":
-        return HostPardiso
-    for package, kind in (("pardiso_mkl_jax", Pardiso), ("klujax", Klu)):
-        if find_spec(package) is not None:
-            return kind
-    raise ImportError(
-        "no sparse direct solver is installed: `pip install softcal-jax` brings the "
-        "one of your platform (pardiso-mkl-jax or klujax)."
-    )
+    if name in _PACKAGES and name not in installed:
+        package = _PACKAGES[name].replace("_", "-")
+        source = "'softcal-jax[gpu]'" if name == "pardiso-host" else package
+        raise ImportError(f"solver={name!r} needs {package}: `pip install {source}`.")
+    return _KINDS[name]

@@ -68,8 +68,11 @@ def _value(text: str) -> Any:
     if not text.lstrip().startswith("{"):
         return text
     try:
-        return tomllib.loads(f"goal = {text}")["goal"]
-    except tomllib.TOMLDecodeError as error:
+        raw = tomllib.loads(f"goal = {text}")
+        if len(raw) > 1:
+            raise ValueError("more stands after its end")
+        return raw["goal"]
+    except (ValueError, RecursionError) as error:
         raise ValueError(
             f"got {text}, which is no inline table ({error}); expected a pose, like "
             '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }.'

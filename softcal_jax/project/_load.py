@@ -370,7 +370,7 @@ class Guess(NamedTuple):
 
 def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:
     """List the lines of a project file that still have the remark of a guess."""
-    lines = Path(path).read_text(encoding="utf-8").splitlines()
+    lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     return tuple(
         Guess(n, match["text"].strip(), match["remark"].strip())
         for n, line in enumerate(lines, start=1)

@@ -258,7 +258,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise ProjectError(str(error)) from error
     try:
         # Decoded here: `read_text` turns bare carriage returns, no TOML, into lines.
-        raw = tomllib.loads(path.read_bytes().decode("utf-8"))
+        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
         values = [*values_in(raw)]
     except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error

@@ -22,7 +22,7 @@ from bodies import (
 )
 
 from softcal_jax.configurations import configuration_arrays
-from softcal_jax.equilibrium import build_model, tangent_values
+from softcal_jax.equilibrium import _solver_choice, build_model, tangent_values
 from softcal_jax.equilibrium._balance import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
@@ -206,6 +206,16 @@ def test_unknown_solver():
     mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
     with pytest.raises(ValueError, match=r"\['klu', .*'pardiso-host'\].*'mumps'"):
         build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver="mumps")
+
+
+@pytest.mark.parametrize(("solver", "package"), PACKAGES.items())
+def test_a_solver_that_is_not_installed(solver, package, monkeypatch):
+    there = lambda name: None if name == package else name
+    monkeypatch.setattr(_solver_choice, "find_spec", there)
+    mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
+    message = rf"solver='{solver}' needs {package.replace('_', '-')}: .pip install"
+    with pytest.raises(ImportError, match=message):
+        build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver=solver)
 
 
 @pytest.mark.parametrize("solver", ["pardiso", "klu"])

@@ -1,18 +1,29 @@
 """Whatever stands in a project file, table or checkpoint: a clear error, or none."""
 
 import json
+import math
 import tomllib
 import warnings
 import zipfile
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from recordings import (
+    motion,
+    write_motive,
+    write_qualisys,
+    write_vicon,
+)
 from small_project import MARKERS, PROJECT, write_small_project
 
 from softcal_jax.calibration._checkpoint import read_checkpoint, write_checkpoint
-from softcal_jax.configurations import read_markers
+from softcal_jax.configurations import read_markers, read_recording
+from softcal_jax.exchange.camera import read_photo, tag_cells
 from softcal_jax.project import ProjectError, load_project
+from softcal_jax.report import ResultError, load_values
+from softcal_jax.sweeps import grid, read_sweep, run_sweep, sweep_table
 
 
 def number_of_examples(few, many):
@@ -121,6 +132,82 @@ def test_any_value_in_a_project_file(tmp_path, n):
     check(n, CHANGES, load)
 
 
+RESULT = {
+    "format": "softcal_jax.result/2",
+    "converged": True,
+    "source": None,
+    "parameters": [{"name": "E", "value": 2e5, "lower": 1e5, "upper": 1e6}],
+    "configurations": [{"name": "pulled", "rms_after_mm": 0.1}],
+    "solver": {"n_tets": 18},
+    "budget": {"covariance": [[1e-4]]},
+    "assessment": {"reasons": []},
+    "versions": {"softcal_jax": "0.1.0"},
+}
+"""The least that is read of a calibration."""
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, -2e5, True, "2e5", None, []])
+def test_a_value_that_no_calibration_gives(tmp_path, bad):
+    path = tmp_path / "result.json"
+    changed = RESULT["parameters"][0] | {"value": bad}
+    path.write_text(json.dumps(RESULT | {"parameters": [changed]}))
+    with pytest.raises(ResultError, match=r"result\.json: .*(value of E|0\.value)"):
+        load_values(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "bad"),
+    [
+        ("budget", {"covariance": [[1e-4, 0.0], [0.0, 1e-4]]}),
+        ("budget", {"covariance": [[]]}),
+        ("budget", {"covariance": [[-1e-4]]}),
+        ("converged", "yes"),
+        ("converged", 1),
+        ("format", 2),
+    ],
+)
+def test_a_result_that_no_calibration_writes(tmp_path, key, bad):
+    path = tmp_path / "result.json"
+    path.write_text("\ufeff" + json.dumps(RESULT), encoding="utf-8")
+    assert load_values(path) == {"E": 2e5}
+    path.write_text(json.dumps(RESULT | {key: bad}))
+    with pytest.raises(ResultError, match=rf"result\.json: .*{key}"):
+        load_values(path)
+
+
+def test_a_result_that_is_nested_without_end(tmp_path):
+    path = tmp_path / "result.json"
+    path.write_text('{"a": ' * 100_000 + "1" + "}" * 100_000)
+    with pytest.raises(ResultError, match="recursion"):
+        load_values(path)
+
+
+@number_of_examples(60, 3000)
+@pytest.mark.filterwarnings("ignore::softcal_jax.report.ResultWarning")
+def test_any_value_in_a_result(tmp_path, n):
+    path = tmp_path / "result.json"
+
+    def change(path_and_value):
+        where, value = path_and_value
+        content = json.loads(json.dumps(RESULT))
+        inside = content
+        for key in where[:-1]:
+            inside = inside[key]
+        inside[where[-1]] = value
+        path.write_text(json.dumps(content))
+        values, text = result_or_refusal(ResultError, lambda: load_values(path))
+        if values is None:
+            assert text.startswith(str(path))
+        else:
+            assert all(1e5 <= value <= 1e6 for value in values.values())
+
+    places = st.sampled_from(sorted(keys(RESULT), key=repr))
+    kept = places.filter(
+        lambda place: place[-1] not in ("lower", "upper", "parameters", 0)
+    )
+    check(n, st.tuples(kept, VALUES), change)
+
+
 CELLS = st.text(max_size=6) | st.sampled_from(["", "nan", "1,5", '"', ";", "#", "=1+1"])
 
 
@@ -181,6 +268,76 @@ def test_any_checkpoint(tmp_path, n):
     ends = st.just(len(whole)) | st.integers(0, len(whole))
     places = st.integers(0, len(whole))
     check(n, st.tuples(places, st.binary(min_size=1, max_size=40), ends), change_it)
+
+
+def recorded(write, name, **options):
+    def make(folder):
+        return write(folder / name, motion(4) + 1.0, **options)
+
+    return make
+
+
+def a_photograph(folder):
+    cv2 = pytest.importorskip("cv2", reason="reads photographs")
+    white = np.pad(np.kron(tag_cells(3), np.ones((6, 6))), 12, constant_values=1.0)
+    assert cv2.imwrite(str(folder / "a.png"), (255 * white).astype(np.uint8))
+    return folder / "a.png"
+
+
+def a_result(folder):
+    path = folder / "result.json"
+    path.write_text(json.dumps(RESULT))
+    return path
+
+
+def a_sweep(folder):
+    path = folder / "s.sqlite"
+    run_sweep(lambda trial: {"x": 1.5}, grid({"E": [1, 2]}), path, workers=0)
+    return path
+
+
+def a_project(folder):
+    return write_small_project(folder)
+
+
+def shown(path):
+    return str(sweep_table(read_sweep(path)))
+
+
+in_mm = partial(read_recording, length_unit="mm")
+FILES = {
+    "motive": (recorded(write_motive, "a.csv"), read_recording),
+    "vicon": (recorded(write_vicon, "a.csv"), read_recording),
+    "qualisys": (recorded(write_qualisys, "a.tsv"), in_mm),
+    "photograph": (a_photograph, read_photo),
+    "result": (a_result, load_values),
+    "sweep": (a_sweep, shown),
+    "project": (a_project, partial(load_project, solve=False)),
+}
+
+
+@number_of_examples(25, 1500)
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.filterwarnings("ignore::softcal_jax._warnings.SoftcalWarning")
+@pytest.mark.usefixtures("unchecked")
+def test_any_damage_to_a_file(tmp_path, kind, n):
+    """Bytes changed, put in or cut off: what commands show as bad input, or none."""
+    make, read = FILES[kind]
+    path = make(tmp_path)
+    whole = path.read_bytes()
+    places = st.integers(0, len(whole))
+    sizes = st.sampled_from([0, 1, 2, 8, len(whole)])
+    content = st.binary(max_size=8) | st.sampled_from(
+        [b"nan", b"1e400", b"-", b"null", b"[" * 3000, b"\xff\xfe", b'"', b"\n"]
+    )
+
+    def damage(change):
+        at, gone, new = change
+        path.write_bytes(whole[:at] + new + whole[at + gone :])
+        result_or_refusal((ValueError, OSError), lambda: read(path))
+
+    read(path)
+    check(n, st.tuples(places, sizes, content), damage)
 
 
 def test_a_checkpoint_with_half_a_header(tmp_path):

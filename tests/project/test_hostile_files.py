@@ -4,11 +4,18 @@ import difflib
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_project import MARKERS, write_small_project
 from wording import says
 
-from softcal_jax.project import ProjectError, load_project
+from softcal_jax.configurations import _csv_table
+from softcal_jax.project import (
+    ProjectError,
+    guesses_left,
+    load_project,
+    quantities_as_read,
+)
 
 CELLS = "cells = [3, 1, 1]"
 SETTINGS = "\n[settings]\n"
@@ -211,6 +218,32 @@ def test_bare_carriage_returns_are_no_toml(tmp_path):
     load_project(path)
     path.write_bytes(b"\r".join(lines))
     assert says(refusal(path), "cannot be read as TOML")
+
+
+@pytest.mark.parametrize("name", ["project.toml", "markers.csv"])
+def test_a_byte_order_mark(tmp_path, name):
+    """Editors of Windows put one before a text."""
+    path = write_small_project(tmp_path)
+    file = path.with_name(name)
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    load_project(path)
+    assert quantities_as_read(path)
+    assert guesses_left(path) == ()
+
+
+def test_a_table_is_split_once_for_all_poses(tmp_path, monkeypatch):
+    """Six windows and selections; and again if it has changed, at the same size."""
+    lines, split = [], _csv_table.read_lines
+    read = lambda *given: lines.append(given) or split(*given)
+    monkeypatch.setattr(_csv_table, "read_lines", read)
+    path = write_small_project(tmp_path)
+    before = load_project(path).calibration[0].measured
+    assert len(lines) == 1
+    table = path.with_name("markers.csv")
+    assert "441.464711016" in table.read_text()
+    table.write_text(table.read_text().replace("441.464711016", "441.464711017"))
+    assert not np.array_equal(load_project(path).calibration[0].measured, before)
+    assert len(lines) == 2
 
 
 LONG, SPACED = 5000 * "x", 1250 * "x y "
