@@ -1,5 +1,6 @@
 """Surfaces of triangles: reading them, and turning their triangles outwards."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.mesh import ParserError, parse_mesh_file, seen_from, sides_of
+from softcal_jax.mesh import seen_from, sides_of
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+"""A triangle of a binary STL file."""
+
+
+_FAR = 1e7
+"""Distance from the origin where single precision holds no shape, over the size [-]."""
+
+_THIN = 1e-6
+"""Height of a triangle without an area, over the size of the surface [-]."""
 
 
 class Triangles(NamedTuple):
@@ -33,19 +44,51 @@ def read_stl(path: Path) -> Triangles:
     Raises:
         ValueError: If it cannot be read, or holds no triangles.
     """
-    try:
-        raw, _ = parse_mesh_file(path, "stl")
-    except ParserError as error:
-        said = f"it cannot be read as STL. The parser said: {error}"
-        raise ValueError(said) from error
-    triangles = raw.cells_dict.get("triangle", np.zeros((0, 3), int))
-    points = np.asarray(raw.points, float)
-    if not len(triangles) or not np.isfinite(points).all():
+    content = path.read_bytes()
+    n = int.from_bytes(content[80:84], "little")
+    # Text has letters there, which would be more triangles than the file has room for.
+    # What stands behind as many as are stated was appended by some program.
+    if 0 < 50 * n <= len(content) - 84:
+        values = np.frombuffer(content, _FACET, n, offset=84)["corners"].reshape(-1, 3)
+    else:
+        words = re.findall(rb"(?i)\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
+        n = len(re.findall(rb"(?i)\bfacet\s+normal\b", content))
+        try:
+            values = np.array(words).astype(float)
+        except ValueError as error:
+            raise ValueError(f"it cannot be read as STL: {error}.") from error
+    if not n or len(values) != 3 * n or not np.isfinite(values).all():
         raise ValueError(
-            f"it holds {len(triangles)} triangles, expected a closed surface of "
-            "triangles with finite coordinates."
+            f"it holds {n} triangles with {len(values)} corners, expected a closed "
+            "surface of triangles with finite coordinates."
         )
-    return Triangles(points, np.asarray(triangles, int))
+    points, corners = np.unique(values.astype(float), axis=0, return_inverse=True)
+    surface = Triangles(points, corners.reshape(-1, 3))
+    _check_shape(surface)
+    return surface
+
+
+def _check_shape(surface: Triangles) -> None:
+    """Raise for what no program fills, since some of them try for ever."""
+    size = np.linalg.norm(np.ptp(surface.points, axis=0))
+    far = np.abs(surface.points).max() / max(size, np.finfo(float).tiny)
+    a, b, c = np.moveaxis(surface.corners, 1, 0)
+    longest = np.linalg.norm([b - a, c - b, a - c], axis=-1).max(axis=0)
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    thin = np.mean(double_area <= _THIN * size * longest)
+    loose = np.mean(sides_of(surface.triangles).counts == 1)
+    for bad, what in (
+        (far > _FAR, f"it lies {far:.2g} times its size away from the origin"),
+        (
+            thin > 0.1,
+            f"{thin:.0%} of its triangles are thinner than {_THIN * size:.2g}",
+        ),
+        (loose > 0.5, f"{loose:.0%} of its edges belong to one triangle alone"),
+    ):
+        if bad:
+            raise ValueError(
+                f"{what}; expected the surface of a body. Export it again."
+            )
 
 
 def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
@@ -131,16 +174,31 @@ def _nested(
     part: Int[HostArray, " n"],
     closed: Bool[HostArray, " n_parts"],
 ) -> Bool[HostArray, "n_parts n_parts"]:
-    """Tell which closed part lies inside which other one, by one point of each."""
+    """Tell which closed part lies inside which other one, without crossing it."""
     inside = np.zeros((len(closed), len(closed)), bool)
     of_part = [corners[part == k] for k in range(len(closed))]
     low, high = (
         np.array([f(c, axis=(0, 1)) for c in of_part]) for f in (np.min, np.max)
     )
     for k in np.flatnonzero(closed):
-        point = of_part[k][0].mean(axis=0)
-        maybe = closed & np.all((low < point) & (point < high), axis=1)
+        maybe = closed & np.all((low <= low[k]) & (high >= high[k]), axis=1)
         maybe[k] = False
         for other in np.flatnonzero(maybe):
-            inside[k, other] = abs(seen_from(of_part[other], point).sum()) > 0.5
+            share = seen_from(of_part[other], of_part[k][0].mean(axis=0)).sum()
+            inside[k, other] = abs(share) > 0.5 and not _cross(
+                of_part[k], of_part[other]
+            )
     return inside
+
+
+def _cross(first: Float[HostArray, "n 3 3"], second: Float[HostArray, "m 3 3"]) -> bool:
+    """Tell whether triangles of two surfaces meet."""
+    import pyvista
+
+    a, b = (
+        pyvista.PolyData.from_regular_faces(
+            corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
+        )
+        for corners in (first, second)
+    )
+    return bool(a.collision(b, contact_mode=1)[1])

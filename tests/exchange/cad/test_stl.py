@@ -172,6 +172,55 @@ def test_a_moebius_strip_has_no_inside(tmp_path):
         mesh_cad(tmp_path / "strip.stl", size=SIZE, length_unit="mm")
 
 
+ARM = (24.0, 5.0, 5.0), (40.0, 15.0, 15.0)
+ROD = (10.0, 5.0, 5.0), (20.0, 15.0, 30.0)
+
+
+@pytest.mark.parametrize("other", [ARM, ROD, ((10.0, 5.0, 0.0), (20.0, 15.0, 15.0))])
+@pytest.mark.parametrize("shift", [0, 5])
+def test_what_crosses_a_body_is_no_cavity_of_it(tmp_path, other, shift):
+    """Whichever of its triangles comes first; so with a wall that touches it."""
+    points, triangles = box_triangles(*other)
+    boxes = box_triangles(*OUTER), (points, np.roll(triangles, shift, axis=0))
+    surface, notes = turned_outwards(read_stl(write_boxes(tmp_path / "b.stl", *boxes)))
+    sides = np.subtract(*other[::-1])
+    assert surface.volume == pytest.approx(30 * 20 * 20 + np.prod(sides))
+    assert notes == []
+
+
+@pytest.mark.parametrize("header", [b"box", b"solid box"])
+def test_a_binary_file_ends_where_it_says(tmp_path, header):
+    """Whatever its header begins with, and other programs append."""
+    points, triangles = box_triangles(*OUTER)
+    facets = np.zeros((12, 50), np.uint8)
+    facets[:, 12:48] = points[triangles].astype("<f4").reshape(12, 9).view(np.uint8)
+    path = tmp_path / "box.stl"
+    head = header.ljust(80) + np.uint32(12).tobytes()
+    path.write_bytes(head + facets.tobytes() + b"//+\nMesh.SurfaceFaces = 1;\n" * 9)
+    surface = read_stl(path)
+    assert len(surface.triangles) == 12
+    assert surface.volume == pytest.approx(30 * 20 * 20)
+    path.write_bytes(head + facets.tobytes()[:-1])
+    with pytest.raises(ValueError, match="0 triangles"):
+        read_stl(path)
+
+
+def test_what_no_program_fills_is_refused_at_once(tmp_path):
+    points, triangles = box_triangles(*OUTER)
+    path, rng = tmp_path / "bad.stl", np.random.default_rng(0)
+    thin = points * np.array([1.0, 1.0, 1e-9])
+    one_far = points + 1e15 * (np.arange(8) == 0)[:, None]
+    loose = rng.random((36, 3)), np.arange(36).reshape(12, 3)
+    for surface, message in (
+        ((points + 1e15, triangles), "from the origin"),
+        ((one_far, triangles), "thinner"),
+        ((thin, triangles), "thinner"),
+        (loose, "100% of its edges"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            read_stl(write_boxes(path, surface))
+
+
 def test_the_unit_is_needed(stl):
     with pytest.raises(ValueError, match=r"STL .*unit.* None"):
         mesh_cad(stl, size=SIZE)
