@@ -10,7 +10,12 @@ from scipy.spatial import KDTree
 from softcal_jax._typing import HostArray, Int
 from softcal_jax.elements import TET_EDGES, tet_rule
 from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import SharedFaces, face_table, jacobian_determinants
+from softcal_jax.mesh._topology import (
+    SharedFaces,
+    face_table,
+    jacobian_determinants,
+    tet_faces,
+)
 
 FLAT = 1e-6
 """Volume below which a tet is flat, over the regular tet of the same rms edge [-]."""
@@ -98,14 +103,21 @@ def _repeated(mesh: TetMesh, table: SharedFaces) -> Iterator[str]:
     corners = np.sort(mesh.tets[:, :4], axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     again = np.setdiff1d(np.arange(mesh.n_tets), first)
-    crowded = np.unique(np.flatnonzero(table.counts[table.inverse] > 2) // 4)
+    # Of two tets on either side of a face, one has its nodes in an odd order.
+    X = mesh.points[mesh.tets[:, :4]]
+    inverted = np.linalg.det(X[:, 1:] - X[:, :1]) < 0
+    a, b, c = tet_faces(mesh.tets)[:, :3].T
+    odd = (a > b) ^ (b > c) ^ (a > c) ^ np.repeat(inverted, 4)
+    one_side = (table.counts == 2) & (np.bincount(table.inverse, odd) != 1)
+    bad = (table.counts > 2) | one_side
+    crowded = np.unique(np.flatnonzero(bad[table.inverse]) // 4)
     if again.size:
         listed = _listed(mesh, again)
         yield f"{again.size} tets repeat another one: {listed}. Remove the copies."
     elif crowded.size:
         yield (
-            f"{crowded.size} tets overlap (a face belongs to more than two): "
-            f"{_listed(mesh, crowded)}. Remesh them."
+            f"{crowded.size} tets overlap (a face belongs to more than two, or to two "
+            f"on the same side of it): {_listed(mesh, crowded)}. Remesh them."
         )
 
 

@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from softcal_jax.mesh import TetMesh, beam, check_mesh, to_quadratic
+from softcal_jax.mesh import (
+    TetMesh,
+    beam,
+    boundary_faces,
+    check_mesh,
+    oriented,
+    to_quadratic,
+    volumes,
+)
 
 BEAM = beam(0.1, 0.02, 0.02, (3, 2, 2))
 ONE = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]])
@@ -62,6 +70,23 @@ def test_repeated_and_overlapping():
     fan = [[0, 1, 2, 3], [1, 2, 3, 4], [1, 2, 3, 5]]
     with pytest.raises(ValueError, match="3 tets overlap"):
         check_mesh(TetMesh(points, fan))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_tangled(order):
+    """A node beyond the opposite faces, and the tets turned over that it inverts.
+
+    Their volumes are positive, and sum to more than the surface encloses.
+    """
+    mesh = beam(0.1, 0.02, 0.02, (2, 2, 2), pattern="centred")
+    inner = np.setdiff1d(np.arange(mesh.n_nodes), boundary_faces(mesh))[0]
+    points = mesh.points.copy()
+    points[inner] += [0.06, 0.0, 0.0]
+    tangled = TetMesh(points, oriented(mesh.tets, points[mesh.tets]))
+    assert volumes(tangled).sum() > 1.05 * volumes(mesh).sum()
+    tangled = to_quadratic(tangled) if order == 2 else tangled
+    with pytest.raises(ValueError, match=r"tets overlap .*same side"):
+        check_mesh(tangled)
 
 
 def test_disconnected():
