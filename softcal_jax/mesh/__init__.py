@@ -10,11 +10,7 @@ from softcal_jax.mesh._location import (
     MaterialPoints as MaterialPoints,
     locate as locate,
 )
-from softcal_jax.mesh._meshio import (
-    MeshWarning as MeshWarning,
-    ParserError as ParserError,
-    parse_mesh_file as parse_mesh_file,
-)
+from softcal_jax.mesh._meshio import MeshWarning as MeshWarning
 from softcal_jax.mesh._reading import (
     mesh_files as mesh_files,
     read_mesh as read_mesh,

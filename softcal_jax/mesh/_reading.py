@@ -1,7 +1,6 @@
 """Reading of mesh files as a `TetMesh` in metres, and writing with all groups."""
 
 import os
-import re
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -15,13 +14,8 @@ from softcal_jax._names import check_known, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 from softcal_jax.mesh._checks import check_mesh
-from softcal_jax.mesh._meshio import (
-    MeshWarning,
-    RawGroups,
-    included_files,
-    raw_groups,
-    read_raw,
-)
+from softcal_jax.mesh._inp import included_files
+from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_raw
 from softcal_jax.mesh._tet_mesh import TetMesh, to_linear, to_quadratic
 from softcal_jax.mesh._topology import tet_faces, volumes
 
@@ -127,7 +121,7 @@ def _build(
     if raw.points.ndim != 2 or raw.points.shape[1] != 3:
         raise ValueError(f"its points have the shape {raw.points.shape}, not (n, 3).")
     for block in raw.cells:
-        cells = _node_indices(block)
+        cells = np.asarray(block.data)
         if cells.size and (cells.min() < 0 or cells.max() >= len(raw.points)):
             raise ValueError(f"a {block.type} cell refers to a node that is not there.")
     groups = raw_groups(raw)
@@ -140,13 +134,6 @@ def _build(
         tets = tets[:, _MIRRORED[: tets.shape[1]]]
     mesh = TetMesh(points, tets)
     return _with_groups(raw, groups, mesh, index, first, notes)
-
-
-def _node_indices(block: meshio.CellBlock) -> HostArray:
-    """Return the nodes of all cells of a block; none for polyhedra of mixed size."""
-    if block.type.startswith("polyhedron"):
-        return np.empty(0, dtype=int)
-    return np.asarray(block.data)
 
 
 def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
@@ -162,6 +149,11 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
             "other cells into tets. If there are tets already, give their volume a "
             "physical group too: Gmsh leaves out what is in none as soon as something "
             "is in one."
+        )
+    if any(b.dim == 3 and len(b) and b.type not in _TETS for b in raw.cells):
+        raise ValueError(
+            f"its volume is not of tets alone; it has {listed}. Without the other "
+            "cells the body would have holes: split them into tets, or remove them."
         )
     TETS.check("it is too large", kinds["tetra"] + kinds["tetra10"])
     if kinds["tetra"] and kinds["tetra10"]:
@@ -196,7 +188,7 @@ def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
     kept[tets] = True
     known = kept.copy()
     for block in raw.cells:
-        known[_node_indices(block)] = True
+        known[np.asarray(block.data)] = True
     loose = np.flatnonzero(~known)
     if loose.size and unused == "error":
         raise ValueError(
@@ -226,8 +218,11 @@ def _with_groups(
             if raw.cells[k].type in _GROUP_CELLS
         }
         cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
-        points = index[groups.points.get(name, np.empty(0, int))]
-        nodes = np.unique(np.concatenate([points, *map(np.ravel, cells.values())]))
+        nodes = np.unique(
+            np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])
+        )
+        if name in groups.points:  # also where a set of elements is called the same
+            nodes = np.unique(index[groups.points[name]])
         nodes = nodes[nodes >= 0]
         if not nodes.size:
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
@@ -295,14 +290,14 @@ def write_mesh(
         implied = np.unique(mesh.surface_groups.get(name, tets))
         if not np.array_equal(np.unique(nodes), implied):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
-    # meshio reads names as a shell does, and writes them as they are.
-    written = {re.sub(r'([\\"])', r"\\\1", name): tag for name, tag in names.items()}
+    if any('"' in name for name in names):
+        raise ValueError(f'{path}: the names of groups cannot hold the sign ".')
     tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
         mesh.points / METRES[length_unit],
         [(kind, cells) for kind, cells, _ in blocks],
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={name: np.array(tag, np.int32) for name, tag in written.items()},
+        field_data={name: np.array(tag, np.int32) for name, tag in names.items()},
     ).write(path, file_format="gmsh22", binary=False)
 
 

@@ -1,13 +1,26 @@
-"""Files written by meshio or by hand, and what becomes of their groups."""
+"""Files written by meshio, Gmsh or by hand, and what becomes of their groups."""
+
+import sys
+import warnings
 
 import meshio
 import numpy as np
 import pytest
+import pyvista
 from wording import says
 
 from softcal_jax.equilibrium import build_model
 from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import MeshWarning, beam, boundary_faces, read_mesh, volumes
+from softcal_jax.mesh import (
+    MeshWarning,
+    _program,
+    beam,
+    boundary_faces,
+    face_shares,
+    read_mesh,
+    read_tet_data,
+    volumes,
+)
 
 BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
 FORMATS = {
@@ -186,15 +199,13 @@ def test_helper_points_of_gmsh_go_with_their_cells(tmp_path):
 
 def test_other_cells_are_named(tmp_path):
     outer = boundary_faces(BEAM)
-    points = np.vstack([BEAM.points, BEAM.points[:8] + np.array([0.2, 0.0, 0.0])])
     cells = [
-        ("hexahedron", [range(24, 32)]),
         ("triangle", outer),
         ("tetra", BEAM.tets),
         ("line", [[0, 1], [1, 2]]),
     ]
-    path = _write(tmp_path, meshio.Mesh(points, cells), ".vtu")
-    message = f"left out: 1 hexahedron, {len(outer)} triangle, 2 line"
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, cells), ".vtu")
+    message = f"left out: {len(outer)} triangle, 2 line"
     with pytest.warns(MeshWarning, match=message):
         mesh = read_mesh(path, length_unit="m")
     assert mesh.n_nodes == BEAM.n_nodes
@@ -223,20 +234,89 @@ def test_group_without_a_tet(tmp_path):
     assert set(mesh.node_groups) == {"tip"}
 
 
-def test_parser_messages_are_passed_on(tmp_path):
+@pytest.fixture(scope="module")
+def gmsh():
+    """Two boxes that share a face; the clamp is reversed, the body in two groups."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    shape, model = gmsh.model.occ, gmsh.model
+    boxes = [(3, shape.addBox(x, 0, 0, 10, 10, 10)) for x in (0, 10)]
+    shape.fragment(boxes[:1], boxes[1:])
+    shape.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 10)
+    model.mesh.generate(3)
+    model.addPhysicalGroup(2, [-1], 5, "clamp")
+    model.addPhysicalGroup(3, [1], 6, "soft")
+    model.addPhysicalGroup(3, [1, 2], 7, "body")
+    yield gmsh
+    gmsh.finalize()
+
+
+@pytest.mark.parametrize(
+    ("version", "option"),
+    [
+        *((version, "") for version in (1, 2.2, 4.0, 4.1)),
+        *((4.1, option) for option in ("SaveAll", "SaveParametric", "partitions")),
+        (2.2, "partitions"),
+    ],
+)
+def test_every_version_of_gmsh(gmsh, tmp_path, version, option):
+    """With several groups on one volume, and what its window appends."""
+    path = tmp_path / "two.msh"
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    if option == "partitions":
+        gmsh.model.mesh.partition(2)
+    elif option:
+        gmsh.option.setNumber(f"Mesh.{option}", 1)
+    gmsh.write(str(path))
+    gmsh.model.mesh.unpartition()
+    gmsh.option.restoreDefaults()
+    gmsh.option.setNumber("General.Terminal", 0)
+    with path.open("a") as file:
+        file.write("//+\nMesh.SurfaceFaces = 1;\n")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*left out: .* line", MeshWarning)
+        mesh = read_mesh(path, length_unit="mm")
+    clamp, soft, body = "clamp", "soft", "body"
+    if version == 1:  # knows no names
+        clamp, soft, body = "surface_5", "volume_6", "volume_7"
+    assert set(mesh.surface_groups) == {clamp}
+    assert set(mesh.tet_groups) == {soft, body}
+    np.testing.assert_array_equal(mesh.points[mesh.nodes(clamp), 0], 0.0)
+    assert face_shares(mesh, mesh.faces(clamp)).sum() == pytest.approx(0.01**2)
+    assert len(mesh.tets_of(body)) == mesh.n_tets
+    inner = volumes(mesh)[mesh.tets_of(soft)].sum()
+    assert inner == pytest.approx(0.01**3)
+    assert volumes(mesh).sum() == pytest.approx(2 * 0.01**3)
+
+
+def test_values_of_tets_go_by_the_numbers_of_elements(gmsh, tmp_path):
+    path, model = tmp_path / "data.msh", gmsh.model
+    tets, view = model.mesh.getElementsByType(4)[0], gmsh.view.add("x")
+    x = model.mesh.getBarycenters(4, -1, False, False)[::3]
+    values, name = x[::-1, None].tolist(), model.getCurrent()
+    gmsh.view.addModelData(view, 0, name, "ElementData", tets[::-1], values)
+    gmsh.option.setNumber("PostProcessing.SaveMesh", 0)
+    gmsh.write(str(path))
+    gmsh.view.write(view, str(path), append=True)
+    gmsh.view.remove(view)
+    centroids = read_mesh(path, length_unit="m").centroids
+    np.testing.assert_allclose(read_tet_data(path, "x"), centroids[:, :1], rtol=1e-12)
+
+
+def _without_gmsh(path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    return _program.read_msh(str(path))
+
+
+def test_without_gmsh_what_meshio_reads_wrong_is_refused(tmp_path, monkeypatch):
     mesh, raw = _with_physical_groups(1)
     path = _write(tmp_path, raw, ".msh", file_format="gmsh22", binary=False)
-    # A third tag per element, which meshio drops.
-    head, _, tail = path.read_text().partition("$Elements\n")
-    lines = tail.splitlines()
-    lines[1:-1] = [
-        " ".join([*(w := line.split())[:2], "3", *w[3:5], "0", *w[5:]])
-        for line in lines[1:-1]
-    ]
-    path.write_text(head + "$Elements\n" + "\n".join(lines) + "\n")
-    with pytest.warns(MeshWarning, match=r"meshio .*tag data"):
-        read = read_mesh(path, length_unit="m")
-    assert read.n_tets == mesh.n_tets
+    assert len(_without_gmsh(path, monkeypatch).points) == mesh.n_nodes
+    path.write_text(GMSH_41)
+    with pytest.raises(ValueError, match=r"version 2\.2"):
+        _without_gmsh(path, monkeypatch)
 
 
 INP = """*NODE, NSET=ALL
@@ -268,6 +348,114 @@ def test_abaqus_sets(tmp_path):
     np.testing.assert_array_equal(mesh.nodes("CLAMP"), [0, 1, 2])
     np.testing.assert_array_equal(mesh.nodes("HARD"), [1, 2, 3, 4])
     assert mesh.faces("SKIN").tolist() == [[0, 2, 1]]
+
+
+TET_INP = """*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 0., 1., 0.
+4, 0., 0., 1.
+5, 1., 1., 1.
+*ELEMENT, TYPE=C3D4H, ELSET=BODY
+1, 1, 2, 3, 4
+2, 2, 5, 3, 4
+"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "nodes"),
+    [
+        ("*NSET, NSET=A\n1, 2\n*NSET, NSET=B\n3\n*NSET, NSET=GROUP\na, B,", [0, 1, 2]),
+        ("*ELSET, ELSET=A\n1\n*NSET, NSET=GROUP, ELSET=A", [0, 1, 2, 3]),
+        ("*ELSET, ELSET=A\n2\n*ELSET, ELSET=GROUP\nA,", [1, 2, 3, 4]),
+        ("*NSET, NSET=GROUP, GENERATE\n1, 5, 2", [0, 2, 4]),
+        ("*NSET, NSET=GROUP\n1\n*ELSET, ELSET=GROUP\n2", [0]),
+        ("*SURFACE, NAME=GROUP\nBODY, S1", [0, 1, 2, 4]),
+        ("*SURFACE, NAME=GROUP, TYPE=ELEMENT\n1, S2", [0, 1, 3]),
+        ("*SURFACE, NAME=GROUP, TYPE=ELEMENT\n1, S4", [0, 2, 3]),
+        ("*SURFACE, NAME=GROUP, TYPE=NODE\n2, 1.0", [1]),
+        ("*NSET, INSTANCE=P-1,\nNSET=GROUP\n P-1.ALL", [0, 1, 2, 3, 4]),
+    ],
+)
+def test_abaqus_groups(tmp_path, lines, nodes):
+    """Of a flat file, and of one with a part and its instance."""
+    path = tmp_path / "tets.inp"
+    flat = TET_INP.replace("*NODE\n", "*NODE, NSET=ALL\n") + lines
+    path.write_text(flat)
+    np.testing.assert_array_equal(
+        read_mesh(path, length_unit="cm").nodes("GROUP"), nodes
+    )
+    path.write_text(
+        f"*PART, NAME=P\n{flat}\n*END PART\n*ASSEMBLY, NAME=A\n"
+        "*INSTANCE, NAME=P-1, PART=P\n-0., 0., 0.\n*END INSTANCE\n"
+    )
+    mesh = read_mesh(path, length_unit="cm")
+    np.testing.assert_array_equal(mesh.nodes("GROUP"), nodes)
+    if "*SURFACE, NAME=GROUP, TYPE=ELEMENT" in lines:
+        assert sorted(mesh.faces("GROUP")[0].tolist()) == nodes
+
+
+def test_abaqus_quadratic_tets_in_several_files(tmp_path):
+    """Elements before nodes, elements over two lines, a surface with its mid nodes."""
+    mesh = beam(0.1, 0.02, 0.03, (1, 1, 1), order=2)
+    row = lambda k, values: ", ".join(map(str, [k + 1, *values]))
+    nodes = [row(k, x) for k, x in enumerate(mesh.points.tolist())]
+    tets = [row(k, n) for k, n in enumerate((1 + mesh.tets[:, ABAQUS_10]).tolist())]
+    tets[0] = tets[0].replace(", ", ",\n", 6)
+    (tmp_path / "nodes.txt").write_text("\n".join(nodes))
+    path = tmp_path / "two.inp"
+    path.write_text(
+        "*ELEMENT, TYPE=C3D10MH\n" + "\n".join(tets) + "\n*NODE, INPUT=nodes.txt\n"
+        "*SURFACE, NAME=FACE\n1, S3\n"
+    )
+    read = read_mesh(path, length_unit="m")
+    np.testing.assert_array_equal(read.tets, mesh.tets)
+    np.testing.assert_array_equal(read.points, mesh.points)
+    (face,) = read.faces("FACE")
+    assert set(face[:3]) == set(mesh.tets[0, 1:4])
+    assert set(face) <= set(mesh.tets[0])
+
+
+ABAQUS_10 = np.arange(10)  # numbered as VTK does
+
+VTK = """# vtk DataFile Version 5.1
+vtk output
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS 4 double
+0 0 0 1 0 0 0 1 0 0 0 1
+CELLS 2 4
+OFFSETS vtktypeint64
+0 4
+CONNECTIVITY vtktypeint64
+0 1 2 3
+CELL_TYPES 1
+10
+CELL_DATA 1
+SCALARS a%20part long
+LOOKUP_TABLE default
+7
+"""
+
+
+def test_vtk_with_long_integers(tmp_path):
+    path = tmp_path / "tet.vtk"
+    path.write_text(VTK)
+    assert read_mesh(path, length_unit="cm").n_tets == 1
+    assert read_tet_data(path, "a part").tolist() == [[7.0]]
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_lagrange_tets_in_xml_whatever_the_name(tmp_path, order):
+    mesh = beam(0.1, 0.02, 0.03, (1, 1, 1), order=order)
+    kinds = np.full(mesh.n_tets, pyvista.CellType.LAGRANGE_TETRAHEDRON)
+    cells = np.insert(mesh.tets, 0, mesh.tets.shape[1], axis=1)
+    grid = pyvista.UnstructuredGrid(cells.ravel(), kinds, mesh.points)
+    grid.save(tmp_path / "tets.vtu")
+    path = (tmp_path / "tets.vtu").rename(tmp_path / "tets.vtk")
+    read = read_mesh(path, length_unit="m")
+    np.testing.assert_array_equal(read.tets, mesh.tets)
+    np.testing.assert_array_equal(read.points, mesh.points)
 
 
 def test_med_families_and_numbering(tmp_path):

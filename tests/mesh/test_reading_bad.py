@@ -150,11 +150,63 @@ def test_nan(tmp_path):
         read_mesh(path, length_unit="m")
 
 
-def test_abaqus_parts(tmp_path):
-    path = tmp_path / "parts.inp"
-    node = "*NODE\n1, 0., 0., 0.\n"
-    path.write_text(node + "*NODE OUTPUT\n" + node)
-    with pytest.raises(ValueError, match=r"parts\.inp .* 2 \*NODE .*merge"):
+def test_volumes_beside_tets_are_refused(tmp_path):
+    """Without them the body would be lighter, and have holes."""
+    points = np.vstack([BEAM.points, BEAM.points[:8] + np.array([0.2, 0.0, 0.0])])
+    cells = [("hexahedron", [range(24, 32)]), ("tetra", BEAM.tets)]
+    for suffix in (".vtu", ".inp"):
+        path = _write(tmp_path, points, cells, suffix)
+        with pytest.raises(ValueError, match=r"1 hexahedron.* split"):
+            read_mesh(path, length_unit="m")
+
+
+@pytest.mark.parametrize("dimensions", [(2, 3), (2, 2)])
+def test_one_name_of_two_groups(tmp_path, dimensions):
+    """Also of a surface and a volume: a support on it would hold the whole body."""
+    cells = [("triangle", [[0, 1, 2]]), ("tetra", BEAM.tets)]
+    tags = [np.full(len(rows), k + 1) for k, (_, rows) in enumerate(cells)]
+    names = {f"clamp{k}": np.array([k + 1, dim]) for k, dim in enumerate(dimensions)}
+    path = tmp_path / "same.msh"
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    mesh = meshio.Mesh(BEAM.points, cells, cell_data=data, field_data=names)
+    mesh.write(path, file_format="gmsh22", binary=False)
+    path.write_text(path.read_text().replace("clamp0", "clamp1"))
+    with pytest.raises(ValueError, match=r"same\.msh .*two .* 'clamp1'"):
+        read_mesh(path, length_unit="m")
+
+
+TET_INP = """*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 0., 1., 0.
+4, 0., 0., 1.
+*ELEMENT, TYPE=C3D4, ELSET=BODY
+1, 1, 2, 3, 4
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{}*NODE\n1, 0., 0., 1.\n", "node 1 .*two parts"),
+        ("*PART, NAME=A\n{}*PART, NAME=B\n", r"\*PART.*flat"),
+        ("{}*INSTANCE, PART=A\n*INSTANCE, PART=A\n", r"\*INSTANCE.*flat"),
+        ("{}*INSTANCE, PART=A\n0., 5., 0.\n", r"\*INSTANCE.*flat"),
+        ("{}*NGEN\n1, 4\n", r"\*NGEN.*flat"),
+        ("{}*NSET, NSET=A\n1\n*ASSEMBLY\n*NSET, NSET=a\n2\n", "set A too.*rename"),
+        ("{}*NSET, NSET=A\nB\n", r"\*NSET.*'B'"),
+        ("{}*NSET, NSET=A\n9\n", "node 9"),
+        ("{}*ELSET, ELSET=A\n9\n", "element 9"),
+        ("{}*SURFACE, NAME=A\nBODY\n", "BODY.*S1 to S4"),
+        ("{}*SURFACE, NAME=BODY\n1, S1\n", "BODY.*rename"),
+        ("{}*ELEMENT\n2, 1, 2, 3, 4\n", r"\*ELEMENT.*'TYPE'"),
+        ("{}*ELEMENT, TYPE=C3D4\n2, 1, 2, 3\n", "element 2 has 3 nodes"),
+    ],
+)
+def test_abaqus_files_that_would_be_read_wrong(tmp_path, text, message):
+    path = tmp_path / "bad.inp"
+    path.write_text(text.format(TET_INP))
+    with pytest.raises(ValueError, match=rf"bad\.inp .*{message}"):
         read_mesh(path, length_unit="m")
 
 

@@ -1,0 +1,140 @@
+"""Reads a mesh file in a process of its own: `python _program.py FILE MADE`.
+
+Damaged files crash the libraries or take all memory, so they run beside the package, of
+which this file imports nothing: it starts in a fraction of a second. What is read is
+pickled as a `meshio.Mesh`.
+"""
+
+import pickle
+import re
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+_MOST = 8_000_000_000
+"""Memory that reading takes at most, where the system can limit it [bytes]."""
+
+
+def read_msh(path: str) -> meshio.Mesh:
+    """Read a .msh file by gmsh, or by meshio what that reads right.
+
+    Raises:
+        ValueError: If two physical groups have one name, or the file needs gmsh.
+    """
+    content = Path(path).read_bytes()
+    if not content.startswith((b"$MeshFormat", b"$NOD", b"$Comments")):
+        # Gmsh would run it as a script.
+        raise ValueError(f"it begins with {content[:20]!r}; expected $MeshFormat")
+    listed = content.partition(b"$PhysicalNames")[2].partition(b"$End")[0]
+    names = Counter(re.findall(r'\d\s+"(.*)"', listed.decode(errors="replace")))
+    if twice := [name for name, n in names.items() if n > 1]:
+        raise ValueError(
+            f"two physical groups have the name {twice[0]!r}; give each its own"
+        )
+    try:
+        import gmsh  # pyright: ignore[reportMissingImports]
+    except (ImportError, OSError) as error:  # the second without libraries of X
+        version = content.partition(b"$MeshFormat")[2].split()[:1]
+        if version in ([b"2"], [b"2.2"]) and not re.search(rb"\$ElementData", content):
+            return meshio.read(path, file_format="gmsh")
+        raise ValueError(
+            f"only gmsh reads it right, and it cannot be loaded ({error}): pip install "
+            "'softcal-jax[cad]', or export the mesh in version 2.2, without data (in "
+            "Gmsh, Mesh.MshFileVersion = 2.2)"
+        ) from error
+    return _by_gmsh(gmsh, path)
+
+
+def _by_gmsh(gmsh: Any, path: str) -> meshio.Mesh:
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.merge(path)  # `open` would also run commands of a file beside it
+    model, mesh = gmsh.model, gmsh.model.mesh
+    numbers, points, _ = mesh.getNodes()
+    order = np.argsort(numbers)
+    index = np.full(int(numbers.max(initial=0)) + 1, -1)
+    index[numbers[order].astype(int)] = np.arange(len(numbers))
+    cells, elements, groups = [], [], defaultdict(set)
+    for entity in model.getEntities():
+        if model.getEntityType(*entity).startswith("Ghost"):
+            continue  # its elements are those of other entities
+        tags = np.unique(np.abs(model.getPhysicalGroupsForEntity(*entity))).tolist()
+        for kind, numbers, nodes in zip(*mesh.getElements(*entity), strict=True):
+            nodes = index[nodes.astype(int)].reshape(len(numbers), -1)
+            if len(tags) > 1:  # versions 1 and 2 repeat an element for each group
+                same = np.unique(np.sort(nodes), axis=0, return_index=True)
+                nodes, numbers = nodes[np.sort(same[1])], numbers[np.sort(same[1])]
+            name = meshio.gmsh.gmsh_to_meshio_type[kind]
+            if name == "tetra10":
+                nodes = nodes[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
+            for tag in tags:
+                unnamed = f"{('point', 'line', 'surface', 'volume')[entity[0]]}_{tag}"
+                group = model.getPhysicalName(entity[0], tag) or unnamed
+                groups[group].add(len(cells))
+            cells.append((name, nodes))
+            elements.append(numbers.tolist())
+    data = {}
+    for view in gmsh.view.getTags():
+        kind, numbers, values, *_ = gmsh.view.getModelData(view, 0)
+        if kind == "ElementData" and len(values):
+            rows = dict(zip(numbers.tolist(), values, strict=True))
+            nothing = np.full(len(values[0]), np.nan)
+            data[gmsh.view.option.getString(view, "Name")] = [
+                [rows.get(number, nothing) for number in block] for block in elements
+            ]
+    sets = {
+        name: [np.arange(len(c) * (k in blocks)) for k, (_, c) in enumerate(cells)]
+        for name, blocks in groups.items()
+    }
+    points = points.reshape(-1, 3)[order]
+    return meshio.Mesh(points, cells, cell_data=data, cell_sets=sets)
+
+
+def read_vtk(path: str) -> meshio.Mesh:
+    """Read an unstructured grid of VTK, in text, binary or XML whatever its name."""
+    import pyvista
+
+    with open(path, "rb") as file:
+        suffix = ".vtu" if file.read(1000).lstrip().startswith(b"<") else ".vtk"
+    with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
+        grid: Any = pyvista.read(path, force_ext=suffix)
+    mesh = pyvista.to_meshio(grid)
+    names = {name.replace(" ", "_"): name for name in grid.cell_data}
+    mesh.cell_data = {names[name]: data for name, data in mesh.cell_data.items()}
+    for block in mesh.cells:  # those of order 1 and 2 are numbered as others are
+        if block.type == "VTK_LAGRANGE_TETRAHEDRON":
+            orders = {4: "tetra", 10: "tetra10"}
+            block.type = orders.get(np.shape(block.data)[-1], block.type)
+    return mesh
+
+
+def read_med(path: str) -> meshio.Mesh:
+    """Read a file of Salome."""
+    return meshio.read(path, file_format="med")
+
+
+_READERS = {".msh": read_msh, ".vtu": read_vtk, ".vtk": read_vtk, ".med": read_med}
+
+
+def _main(path: str, made: str) -> None:
+    if sys.platform == "linux":
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        most = _MOST if hard == resource.RLIM_INFINITY else min(_MOST, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    try:
+        mesh = _READERS[Path(path).suffix.lower()](path)
+    except Exception as error:  # libraries raise any
+        kind = type(error).__name__
+        named = f"{kind}: " if kind not in ("Exception", "ValueError") else ""
+        sys.exit(f"{named}{error}")
+    Path(made).write_bytes(pickle.dumps(mesh))
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])
