@@ -38,12 +38,12 @@ def read_mesh(
 ) -> TetMesh:
     """Read the tets and the named groups of a mesh file, and check them.
 
-    Formats: Gmsh .msh (2 and 4), .vtu, .vtk, Abaqus .inp and .med, as meshio reads
-    them. Physical groups, sets and families become groups: all their nodes in
+    Formats: Gmsh .msh (of any version; without gmsh installed, 2.2), .vtu, .vtk, Abaqus
+    .inp and .med. Physical groups, sets and families become groups: all their nodes in
     `node_groups`, their triangles in `surface_groups`, their tets in `tet_groups`. A
     physical group without a name is called after its kind and tag, e.g. "surface_7".
-    Cells that are neither tets nor part of a group are left out with a warning, and so
-    are the nodes that only they use, such as the circle centres that Gmsh writes.
+    Surfaces, lines and points that are no part of a group are left out with a warning,
+    and so are the nodes that only they use, such as circle centres of Gmsh.
 
     Args:
         path: The file.
@@ -55,9 +55,9 @@ def read_mesh(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file cannot be read, an option is unknown, there are no tets
-            or linear ones among quadratic ones, nodes are unused, or `check_mesh`
-            refuses the mesh.
+        ValueError: If the file cannot be read, an option is unknown, there are no tets,
+            other volumes beside them or linear ones among quadratic ones, nodes are
+            unused, or `check_mesh` refuses the mesh.
 
     Warns:
         MeshWarning: If something is left out, or the size suggests a wrong unit.
