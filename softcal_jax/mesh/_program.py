@@ -2,7 +2,7 @@
 
 Damaged files crash the libraries or take all memory, so they run beside the package, of
 which this file imports nothing: it starts in a fraction of a second. What is read is
-pickled as a `meshio.Mesh`.
+pickled as a `meshio.Mesh`. The folder that it works in is its own.
 """
 
 import pickle
@@ -46,25 +46,26 @@ def read_msh(path: str) -> meshio.Mesh:
             "'softcal-jax[cad]', or export the mesh in version 2.2, without data (in "
             "Gmsh, Mesh.MshFileVersion = 2.2)"
         ) from error
-    return _by_gmsh(gmsh, path)
+    alone = Path("mesh.msh")  # gmsh runs a script beside a file, mesh.msh.opt
+    alone.write_bytes(content)
+    return _by_gmsh(gmsh, str(alone))
 
 
 def _by_gmsh(gmsh: Any, path: str) -> meshio.Mesh:
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.merge(path)  # `open` would also run commands of a file beside it
+    gmsh.merge(path)
     model, mesh = gmsh.model, gmsh.model.mesh
     numbers, points, _ = mesh.getNodes()
-    order = np.argsort(numbers)
-    index = np.full(int(numbers.max(initial=0)) + 1, -1)
-    index[numbers[order].astype(int)] = np.arange(len(numbers))
+    points = points.reshape(-1, 3)[np.argsort(numbers)]
+    numbers_of_nodes = np.sort(numbers)
     cells, elements, groups = [], [], defaultdict(set)
     for entity in model.getEntities():
         if model.getEntityType(*entity).startswith("Ghost"):
             continue  # its elements are those of other entities
         tags = np.unique(np.abs(model.getPhysicalGroupsForEntity(*entity))).tolist()
         for kind, numbers, nodes in zip(*mesh.getElements(*entity), strict=True):
-            nodes = index[nodes.astype(int)].reshape(len(numbers), -1)
+            nodes = np.searchsorted(numbers_of_nodes, nodes).reshape(len(numbers), -1)
             if len(tags) > 1:  # versions 1 and 2 repeat an element for each group
                 same = np.unique(np.sort(nodes), axis=0, return_index=True)
                 nodes, numbers = nodes[np.sort(same[1])], numbers[np.sort(same[1])]
@@ -86,11 +87,10 @@ def _by_gmsh(gmsh: Any, path: str) -> meshio.Mesh:
             data[gmsh.view.option.getString(view, "Name")] = [
                 [rows.get(number, nothing) for number in block] for block in elements
             ]
-    sets = {
+    sets: Any = {
         name: [np.arange(len(c) * (k in blocks)) for k, (_, c) in enumerate(cells)]
         for name, blocks in groups.items()
     }
-    points = points.reshape(-1, 3)[order]
     return meshio.Mesh(points, cells, cell_data=data, cell_sets=sets)
 
 

@@ -6,7 +6,7 @@ import h5py
 import meshio
 import pytest
 
-from softcal_jax.mesh import beam, read_mesh
+from softcal_jax.mesh import beam, read_mesh, write_mesh
 
 BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
 SUFFIXES = [".msh", ".vtu", ".vtk", ".inp", ".med"]
@@ -67,10 +67,13 @@ def test_a_med_file_that_declares_a_large_array(tmp_path):
 
 
 def test_a_script_of_gmsh_is_not_run(tmp_path):
-    """Gmsh takes a file for one that does not begin as a mesh."""
-    path = tmp_path / "script.msh"
-    path.write_text(f'SystemCall "touch {tmp_path}/run";\n$MeshFormat\n')
+    """Gmsh takes a file for one that does not begin as a mesh, or that ends in .opt."""
+    path, script = tmp_path / "script.msh", f'SystemCall "touch {tmp_path}/run";\n'
+    path.write_text(f"{script}$MeshFormat\n")
     refused(path, r"script\.msh cannot be read.*expected \$MeshFormat")
+    write_mesh(BEAM, path, length_unit="m")
+    path.with_name("script.msh.opt").write_text(script)
+    assert read_mesh(path, length_unit="m").n_tets == BEAM.n_tets
     assert not (tmp_path / "run").exists()
 
 
