@@ -30,8 +30,10 @@ def read_msh(path: str) -> meshio.Mesh:
         # Gmsh would run it as a script.
         raise ValueError(f"it begins with {content[:20]!r}; expected $MeshFormat")
     listed = content.partition(b"$PhysicalNames")[2].partition(b"$End")[0]
-    names = Counter(re.findall(r'\d\s+"(.*)"', listed.decode(errors="replace")))
-    if twice := [name for name, n in names.items() if n > 1]:
+    # Gmsh and meshio take a name to end at a quotation mark within it.
+    rows = re.findall(r'(\d)\s+(\d+)\s+"(.*)"', listed.decode(errors="replace"))
+    names = {(int(dimension), int(tag)): name for dimension, tag, name in rows}
+    if twice := [name for name, n in Counter(names.values()).items() if n > 1]:
         raise ValueError(
             f"two physical groups have the name {twice[0]!r}; give each its own"
         )
@@ -40,7 +42,9 @@ def read_msh(path: str) -> meshio.Mesh:
     except (ImportError, OSError) as error:  # the second without libraries of X
         version = content.partition(b"$MeshFormat")[2].split()[:1]
         if version in ([b"2"], [b"2.2"]) and not re.search(rb"\$ElementData", content):
-            return meshio.read(path, file_format="gmsh")
+            mesh = meshio.read(path, file_format="gmsh")
+            mesh.field_data = {name: np.array(k[::-1]) for k, name in names.items()}
+            return mesh
         raise ValueError(
             f"only gmsh reads it right, and it cannot be loaded ({error}): pip install "
             "'softcal-jax[cad]', or export the mesh in version 2.2, without data (in "
@@ -48,10 +52,10 @@ def read_msh(path: str) -> meshio.Mesh:
         ) from error
     alone = Path("mesh.msh")  # gmsh runs a script beside a file, mesh.msh.opt
     alone.write_bytes(content)
-    return _by_gmsh(gmsh, str(alone))
+    return _by_gmsh(gmsh, str(alone), names)
 
 
-def _by_gmsh(gmsh: Any, path: str) -> meshio.Mesh:
+def _by_gmsh(gmsh: Any, path: str, names: dict[tuple[int, int], str]) -> meshio.Mesh:
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.merge(path)
@@ -74,8 +78,7 @@ def _by_gmsh(gmsh: Any, path: str) -> meshio.Mesh:
                 nodes = nodes[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
             for tag in tags:
                 unnamed = f"{('point', 'line', 'surface', 'volume')[entity[0]]}_{tag}"
-                group = model.getPhysicalName(entity[0], tag) or unnamed
-                groups[group].add(len(cells))
+                groups[names.get((entity[0], tag), unnamed)].add(len(cells))
             cells.append((name, nodes))
             elements.append(numbers.tolist())
     data = {}

@@ -290,8 +290,6 @@ def write_mesh(
         implied = np.unique(mesh.surface_groups.get(name, tets))
         if not np.array_equal(np.unique(nodes), implied):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
-    if any('"' in name for name in names):
-        raise ValueError(f'{path}: the names of groups cannot hold the sign ".')
     tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
         mesh.points / METRES[length_unit],
