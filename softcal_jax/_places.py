@@ -26,7 +26,7 @@ def with_remedy(refused: str, remedy: str) -> Iterator[None]:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give the path of a new file, which takes the place of an older one as a whole."""
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     try:
         yield partial
         os.replace(partial, path)

@@ -25,6 +25,7 @@ from softcal_jax.mesh._selection import (
     Plane as Plane,
     Sphere as Sphere,
     node_indices as node_indices,
+    place as place,
     select_faces as select_faces,
     select_nodes as select_nodes,
 )
@@ -36,6 +37,7 @@ from softcal_jax.mesh._surfaces import (
     CAD_FACE as CAD_FACE,
     SHARP as SHARP,
     matching_faces as matching_faces,
+    ring_around as ring_around,
     seen_from as seen_from,
     select_cavity as select_cavity,
     select_face as select_face,

@@ -15,11 +15,14 @@ import sys
 import tempfile
 import threading
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from softcal_jax import mesh as meshes
-from softcal_jax._files import check_file
+from softcal_jax._files import check_file, digest_of
 from softcal_jax._limits import (
     MESHING_MEGABYTES,
     MESHING_SECONDS,
@@ -27,17 +30,15 @@ from softcal_jax._limits import (
     Limit,
     LimitError,
 )
+from softcal_jax._places import cause, replacing
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax._units import METRES
-from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
+from softcal_jax._units import METRES, readable_values
+from softcal_jax.exchange.cad._surface import Triangles, read_stl, turned_outwards
 
 _STEP = (".step", ".stp")
 CAD_FORMATS = (*_STEP, ".stl")
 """Extensions of CAD models."""
-
-ENVELOPE = 1e-3
-"""How far fTetWild may move the surface, over the diagonal of the model [-]."""
 
 PROGRAM = Path(__file__).with_name("_program.py")
 """What fills models, in a process of its own."""
@@ -57,14 +58,15 @@ class Filled(NamedTuple):
 
     `faces` are corners of the triangles on each face of the model that bounds the body,
     `solids` indices of the tets of each solid; the volume of the model is nan if
-    unknown.
+    unknown. `n_flat` tets are flat.
     """
 
     points: Float[HostArray, "n_nodes 3"]
     tets: Int[HostArray, "n_tets 4"]
-    faces: list[Int[HostArray, "_ 3"]]
-    solids: list[Int[HostArray, " _"]]
-    volume: float
+    faces: Sequence[Int[HostArray, "_ 3"]] = ()
+    solids: Sequence[Int[HostArray, " _"]] = ()
+    volume: float = math.nan
+    n_flat: int = 0
 
 
 def mesh_cad(
@@ -73,6 +75,7 @@ def mesh_cad(
     size: float | None = None,
     length_unit: str | None = None,
     order: int = 2,
+    kept_in: Sequence[Path] = (),
 ) -> meshes.TetMesh:
     """Fill a CAD model with tets by gmsh, and name its faces and solids.
 
@@ -80,9 +83,10 @@ def mesh_cad(
     "face 1", "face 2" and so on, where they bound the body; solids the tet groups
     "solid 1" and so on, joined where they touch. STL files (.stl) hold triangles; the
     mesh gets new ones, and edges of more than 40 degrees divide its faces.
-    Where gmsh refuses an STL surface (holes, crossings), fTetWild fills it, if the
-    package pytetwild is installed: its surface is within a thousandth of the model's
-    size, and a warning says so.
+    Where gmsh refuses an STL surface (holes, crossings), or its tets are flat, fTetWild
+    fills it, if the package pytetwild is installed, within a thousandth of the model's
+    size except over holes; a warning says how far off it is. FTetWild makes another
+    mesh each time, so it is kept.
 
     Round faces get 12 edges a turn or more, down to a quarter of the size. All edges
     are straight, those of quadratic tets too.
@@ -94,6 +98,8 @@ def mesh_cad(
         length_unit: Unit of an STL file, which does not state it: "m", "cm", "mm",
             "um" or "inch". None for a STEP file, which states it.
         order: 2 for quadratic tets, 1 for linear ones.
+        kept_in: Folders in which a mesh of fTetWild is looked for, by what it is made
+            of, and kept in the first that can be written; none to keep none.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -116,11 +122,7 @@ def mesh_cad(
     metres, notes = METRES[unit], []
     model_size = None if size is None else size / metres
     try:
-        if path.suffix.lower() in _STEP:
-            given = {"path": str(path.absolute())}  # `fill` works in another folder
-            filled = fill("gmsh, STEP", given, model_size)
-        else:
-            filled = _fill_surface(path, model_size, notes)
+        filled = _filled(path, model_size, metres, kept_in, notes)
         mesh = _named(filled, metres)
         meshes.check_mesh(mesh)
     except (ValueError, ImportError) as error:
@@ -160,50 +162,119 @@ def _unit(path: Path, length_unit: str | None) -> str:
     return length_unit
 
 
-def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
-    """Fill an STL surface, by fTetWild where gmsh refuses it."""
-    triangles, turned = turned_outwards(read_stl(path))
-    notes += turned
-    given = {
-        **triangles._asdict(),
-        "volume": abs(triangles.volume),
-        "sharp": meshes.SHARP,
-        "envelope": ENVELOPE,
-    }
+def _filled(
+    path: Path,
+    size: float | None,
+    metres: float,
+    kept_in: Sequence[Path],
+    notes: list[str],
+) -> Filled:
+    """Fill a model by gmsh, or its surface by fTetWild where gmsh cannot."""
+    surface: Triangles | None = None
+    faces: Sequence[HostArray] = ()
     try:
-        sides = meshes.sides_of(triangles.triangles)
-        if n := int((sides.counts != 2).sum()):
-            raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
-        return fill("gmsh, STL", given, size)
+        if path.suffix.lower() in _STEP:
+            given = {"path": str(path.absolute())}  # `fill` works in another folder
+            filled = fill("gmsh, STEP", given, size)
+            faces = filled.faces
+        else:
+            surface, turned = turned_outwards(read_stl(path))
+            notes += turned
+            if n := int((meshes.sides_of(surface.triangles).counts != 2).sum()):
+                raise GmshError(f"it is open: {n} edges do not join two triangles.")
+            filled = fill("gmsh, STL", _given(surface), size)
+        # FTetWild would make one solid of several.
+        if not filled.n_flat or len(filled.solids) > 1:
+            return filled
+        said = f"{filled.n_flat} of its tets are flat."
+        if surface is None:
+            model = Triangles(filled.points, np.concatenate(faces))
+            surface, _ = turned_outwards(model)
     except GmshError as error:
+        if surface is None:
+            raise
         said = str(error)
+    said = f"gmsh cannot fill this surface: {said}"
     try:
-        filled = fill("pytetwild", given, size)
+        mesh = _wild_mesh(path, surface, size, kept_in, notes)
     except ImportError as error:
         raise ValueError(
-            f"gmsh cannot fill this surface: {said} Mend it (holes, crossings, repeated"
-            " triangles), export a STEP file, or let fTetWild fill it as it is: pip "
-            "install pytetwild."
+            f"{said} Mend it (holes, crossings, repeated triangles), export a STEP "
+            "file, or let fTetWild fill it as it is: pip install pytetwild."
         ) from error
+    # Imported here, so that a clean model does not wait for it.
+    import pyvista
+
+    outer = meshes.boundary_faces(mesh)
+    places = np.concatenate([mesh.points[outer].mean(axis=1), mesh.points[outer[:, 0]]])
+    of_file = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles)
+    nearest_to: Any = of_file.find_closest_cell
+    nearest, feet = nearest_to(places, return_closest_point=True)
+    gaps = metres * np.linalg.norm(feet - places, axis=1)
     notes.append(
-        f"gmsh cannot fill this surface: {said} So fTetWild filled it; its surface is "
-        f"off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. Outside "
-        "is for it where triangles are turned to: look at the picture that `softcal "
-        "mesh` draws."
+        f"{said} So fTetWild filled it; the surface of the mesh lies up to "
+        f"{readable_values([gaps.max()], 'm', digits=3)} from that of the file, at "
+        f"{meshes.place(metres * places[gaps.argmax()])}: how it closes a hole is a "
+        "guess, and outside is where triangles are turned to. Look at the picture that "
+        "`softcal mesh` draws."
     )
-    return filled
+    # Faces of a model keep their numbers: each triangle is of the face nearest to it.
+    owner = np.repeat(np.arange(len(faces)), [len(face) for face in faces])
+    of_face = [outer[owner[nearest[: len(outer)]] == k] for k in range(len(faces))]
+    return Filled(mesh.points, mesh.tets, of_face)
+
+
+def _given(surface: Triangles) -> dict[str, Any]:
+    normals = np.cross(*np.diff(surface.corners, axis=1).transpose(1, 0, 2))
+    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    return surface._asdict() | {"volume": abs(surface.volume), "area": area}
+
+
+def _wild_mesh(
+    path: Path,
+    surface: Triangles,
+    size: float | None,
+    kept_in: Sequence[Path],
+    notes: list[str],
+) -> meshes.TetMesh:
+    """Read the mesh of fTetWild that is kept of a surface, or make and keep it."""
+    # A project file states the size with six digits.
+    digest = digest_of(surface, f"size {size and f'{size:.6g}'}")
+    files = [folder / f"{path.stem}.ftetwild-{digest[:12]}.msh" for folder in kept_in]
+    for file in filter(os.path.exists, files):
+        return meshes.read_mesh(file, length_unit="m", order=1)
+    made = fill("pytetwild", _given(surface), size)
+    tets = meshes.oriented(made.tets, made.points[made.tets])
+    mesh = meshes.TetMesh(made.points, tets)
+    meshes.check_mesh(mesh)
+    refused = ""
+    for file in files:
+        try:
+            if not os.path.exists(file):  # another process may have made it meanwhile
+                with replacing(file) as new:
+                    meshes.write_mesh(mesh, new, length_unit="m")
+            return meshes.read_mesh(file, length_unit="m", order=1)
+        except OSError as error:
+            refused = cause(error)
+    if refused:
+        notes.append(
+            "fTetWild makes another mesh each time, and this one cannot be kept "
+            f"({refused}): make it once with `softcal mesh`, and name that file in the "
+            "project."
+        )
+    return mesh
 
 
 def _named(filled: Filled, metres: float) -> meshes.TetMesh:
     """Build the mesh [m], with its faces and solids as groups."""
-    points = metres * filled.points
-    mesh = meshes.TetMesh(points, meshes.oriented(filled.tets, points[filled.tets]))
+    mesh = meshes.TetMesh(metres * filled.points, filled.tets)
     if filled.faces:
         faces = meshes.matching_faces(mesh, filled.faces)
     else:
         faces = meshes.surface_parts(mesh)
-    for k, face in enumerate(filter(len, faces)):
-        mesh = mesh.with_surface_group(f"face {k + 1}", face)
+    for k, face in enumerate(faces):
+        if len(face):  # one that was merged into others leaves its number free
+            mesh = mesh.with_surface_group(f"face {k + 1}", face)
     if len(filled.solids) > 1:
         for k, tets in enumerate(filled.solids):
             mesh = mesh.with_tet_group(f"solid {k + 1}", tets)
@@ -218,8 +289,8 @@ def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
             f"making a mesh of a CAD model needs {package}: pip install "
             "'softcal-jax[cad]'."
         )
-    limits = {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
-    given = {"by": by, "size": size, **given, **limits}
+    given = {"by": by, "size": size, **given, "sharp": meshes.SHARP}
+    given |= {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
     with tempfile.TemporaryDirectory() as folder:
         given_at, made_at = Path(folder, "given"), Path(folder, "made")
         given_at.write_bytes(pickle.dumps(given))

@@ -7,6 +7,7 @@ and made, or why nothing is made, are pickled dictionaries; see `exchange.cad._m
 
 import pickle
 import sys
+from itertools import combinations, product
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,19 @@ _FINEST = 0.25
 
 _USUAL = 30.0  # diagonal of a model over the size, where none is given
 
+_FAR = 1e9  # longest diagonal of a model, in its unit
+
 _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 """Volume of the regular tet over the cube of its edge [-]."""
+
+_ENVELOPE = 1e-3
+"""How far fTetWild may move the surface, over the diagonal of the model [-]."""
+
+_FLAT = 1e-6
+"""Volume below which a tet is flat, over the regular tet, as for `check_mesh` [-]."""
+
+_SLIVER = 1e-4  # the same below which it is mended, for such tets invert easily
+_NARROW = 1e-3  # distances that are bridged to mend it, over the rms edge of the tet
 
 
 class RefusedError(Exception):
@@ -51,9 +63,13 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     if len(solids) > 1:  # so that they share faces where they touch
         shape.fragment(solids, [])
         shape.synchronize()
-    volume = sum(shape.getMass(3, tag) for _, tag in gmsh.model.getEntities(3))
+    area, volume = (
+        sum(shape.getMass(*entity) for entity in gmsh.model.getEntities(dimension))
+        for dimension in (2, 3)
+    )
+    given |= {"area": area, "volume": volume}
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    return _filled(gmsh, volume, _size(given, low_high, volume))
+    return _filled(gmsh, volume, _size(given, low_high))
 
 
 def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
@@ -70,9 +86,9 @@ def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
     loop = gmsh.model.geo.addSurfaceLoop(surfaces)
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
-    size = _size(given, points, given["volume"])
+    size = _size(given, points)
     # Gmsh cuts round surfaces in patches, which are no faces of the body.
-    return {**_filled(gmsh, given["volume"], size), "faces": [], "solids": []}
+    return {**_filled(gmsh, given["volume"], size), "faces": (), "solids": ()}
 
 
 def fill_wild(given: Any) -> dict[str, Any]:
@@ -86,29 +102,33 @@ def fill_wild(given: Any) -> dict[str, Any]:
     points, tets = tetrahedralize(
         given["points"],
         given["triangles"],
-        edge_length_abs=_size(given, given["points"], given["volume"]),
-        epsilon=given["envelope"],
+        edge_length_abs=_size(given, given["points"]),
+        epsilon=_ENVELOPE,
         num_threads=1,
         quiet=True,
     )
     if not len(tets):
         raise RefusedError("model", "fTetWild makes no tets of it")
     used, tets = np.unique(tets, return_inverse=True)
-    made = {"points": np.asarray(points, float)[used], "tets": tets.reshape(-1, 4)}
-    return {**made, "faces": [], "solids": [], "volume": np.nan}
+    return {"points": np.asarray(points, float)[used], "tets": tets.reshape(-1, 4)}
 
 
-def _size(given: Any, points: Any, volume: float) -> float:
+def _size(given: Any, points: Any) -> float:
     """Return the size that is given, or the usual one for points of this extent.
 
-    Too many tets are refused before hours are spent on them.
+    Too many tets are refused before hours are spent on them: regular ones would fill
+    the volume, and a thin wall has three for two triangles of its surface.
     """
-    size = given["size"]
+    size, across = given["size"], float(np.linalg.norm(np.ptp(points, axis=0)))
     if size is None:
-        size = float(np.linalg.norm(np.ptp(points, axis=0))) / _USUAL
-    number = volume / (_REGULAR * size**3)
+        size = across / _USUAL
+    thin = 1.5 * given["area"] / (0.25 * sqrt(3.0) * size**2)
+    number = np.ceil(max(given["volume"] / (_REGULAR * size**3), thin))
     if number > given["most"]:
-        raise RefusedError("tets", f"edges of {size:g} are too short", number=number)
+        what = f"edges of {size:g} are too short for a model {across:.3g} across"
+        raise RefusedError("tets", what, number=number)
+    if across > _FAR:
+        raise RefusedError("model", f"it is {across:.3g} across: check its unit.")
     return size
 
 
@@ -120,9 +140,9 @@ def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
     gmsh.model.mesh.generate(3)
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     nodes_of = lambda kind, tag: gmsh.model.mesh.getElementsByType(kind, tag)[1]
-    by_solid = [nodes_of(_TET, tag).astype(int) for _, tag in gmsh.model.getEntities(3)]
-    tets = np.concatenate(by_solid).reshape(-1, 4)
-    if not len(tets):
+    volumes = [tag for _, tag in gmsh.model.getEntities(3)]
+    by_solid = [nodes_of(_TET, tag).astype(int).reshape(-1, 4) for tag in volumes]
+    if not sum(map(len, by_solid)):
         raise RefusedError("gmsh", "it made no tets.")
     outer = [
         tag
@@ -130,17 +150,64 @@ def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
         if len(gmsh.model.getAdjacencies(2, tag)[0]) == 1
     ]
     triangles = [nodes_of(_TRIANGLE, tag).astype(int).reshape(-1, 3) for tag in outer]
-    used, tets = np.unique(tets, return_inverse=True)
-    places = np.empty((int(tags.max()) + 1, 3))
+    places = np.zeros((int(tags.max()) + 1, 3))
     places[tags.astype(int)] = coordinates.reshape(-1, 3)
-    sizes = [len(nodes) // 4 for nodes in by_solid]
+    n, cells = len(by_solid), _mended(places, [*by_solid, *triangles])
+    used, tets = np.unique(np.concatenate(cells[:n]), return_inverse=True)
+    points, tets = places[used], tets.reshape(-1, 4)
+    ends = np.cumsum([len(solid) for solid in cells[:n]])
     return {
-        "points": places[used],
-        "tets": tets.reshape(-1, 4),
-        "faces": [np.searchsorted(used, corners) for corners in triangles],
-        "solids": np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1]),
+        "points": points,
+        "tets": tets,
+        "faces": [np.searchsorted(used, corners) for corners in cells[n:]],
+        "solids": np.split(np.arange(len(tets)), ends[:-1]),
         "volume": volume,
+        "n_flat": int(np.sum(_shapes(points[tets]) < _FLAT)),
     }
+
+
+def _shapes(corners: Any) -> Any:
+    """Divide volumes of tets by those of regular tets of the same rms edges [-]."""
+    edges = corners[:, [0, 0, 0, 1, 1, 2]] - corners[:, [1, 2, 3, 2, 3, 3]]
+    rms = np.sqrt((edges**2).sum(axis=-1).mean(axis=-1))
+    volume = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
+    return volume / (_REGULAR * np.maximum(rms, np.finfo(float).tiny) ** 3)
+
+
+def _mended(points: Any, cells: list[Any]) -> list[Any]:
+    """Merge a corner of each sliver into what it nearly lies on: others of its corners.
+
+    Cells, of tets and of triangles, that hold all of these are cut at that corner, and
+    vanish where they hold it too.
+    """
+    while True:
+        tets = np.concatenate([cell for cell in cells if cell.shape[1] == 4])
+        shapes = _shapes(points[tets])
+        worst = tets[np.argsort(shapes)[: np.sum(shapes < _SLIVER)]]
+        mendable = (_nearly_on(points, tet) for tet in worst)
+        corner, others = next(filter(None, mendable), (0, ()))
+        if not others:
+            return cells
+        for k, cell in enumerate(cells):
+            whole = np.isin(cell, others).sum(axis=1) == len(others)
+            cut = cell[whole & ~(cell == corner).any(axis=1)]
+            parts = [np.where(cut == other, corner, cut) for other in others]
+            cells[k] = np.concatenate([cell[~whole], *parts])
+
+
+def _nearly_on(points: Any, tet: Any) -> tuple[int, Any] | None:
+    """Find a corner of a tet that nearly lies on another, an edge, or a face of it."""
+    edges = points[tet[:, None]] - points[tet]
+    near = _NARROW * np.sqrt((edges**2).sum(axis=-1).mean())
+    for n, corner in product((1, 2, 3), tet):
+        for others in combinations(tet[tet != corner], n):
+            start, ends = points[others[0]], points[list(others[1:])]
+            sides, gap = (ends - start).T, points[corner] - start
+            shares = np.linalg.lstsq(sides, gap)[0]
+            inside = shares.min(initial=0.0) >= 0.0 and shares.sum() <= 1.0
+            if inside and np.linalg.norm(sides @ shares - gap) < near:
+                return corner, others
+    return None
 
 
 def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:

@@ -192,6 +192,75 @@ def test_too_many_tets(step):
         mesh_cad(step, size=5e-6)
 
 
+def test_tets_of_a_thin_plate_are_counted_by_its_surface(tmp_path):
+    """Its volume alone would be that of 1.8 million regular ones."""
+    with modelled(tmp_path / "plate.step") as shape:
+        shape.addBox(0, 0, 0, 300, 300, 0.3)
+    with pytest.raises(LimitError, match=r"edges of 0\.5 .* 2 499 \d{3} tets"):
+        mesh_cad(tmp_path / "plate.step", size=0.5 * MM)
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [(3 * MM, r"e\+\d\d tets, more"), (None, "across: check its unit")],
+)
+def test_a_model_in_exametres(step, tmp_path, size, words):
+    larger = tmp_path / "larger.step"
+    larger.write_text(step.read_text().replace(".MILLI.,.METRE.", ".EXA.,.METRE."))
+    with pytest.raises(ValueError, match=words):
+        mesh_cad(larger, size=size)
+
+
+@pytest.fixture
+def strip(tmp_path):
+    """Two bodies of slightly different height: a sliver face is the step in between."""
+
+    def write(step, *, join=True):
+        with modelled(tmp_path / "strip.step") as shape:
+            shape.addBox(0, 0, 0, 20, 10, 5)
+            shape.addBox(20, 0, 0, 20, 10, 5 + step)
+            if join:
+                shape.fuse([(3, 1)], [(3, 2)])
+        return tmp_path / "strip.step"
+
+    return write
+
+
+@pytest.mark.parametrize(("step", "join"), [(1e-6, True), (1e-4, True), (1e-6, False)])
+def test_sliver_faces_are_merged_into_others(strip, step, join):
+    mesh = mesh_cad(strip(step, join=join), size=SIZE, order=1)
+    volume = box(20, 10, 5) + box(20, 10, 5 + step)
+    assert volumes(mesh).sum() == pytest.approx(volume, rel=step)
+    X = mesh.points[mesh.tets]
+    edges = np.diff(X[:, np.array(TET_EDGES)], axis=2)
+    flatness = volumes(mesh) / np.mean(edges**2, axis=(1, 2, 3)) ** 1.5
+    assert flatness.min() > 1e-3
+    names, n = [*mesh.surface_groups], 8 if join else 11
+    assert len(names) == n - 1
+    assert names[-1] == f"face {n}"  # the numbers of the model stay
+    areas = sum(area(mesh, mesh.faces(name)) for name in names)
+    assert areas == pytest.approx(2 * (box(40, 10) + box(40, 5) + box(10, 5)), rel=1e-4)
+
+
+def test_flat_tets_that_stay_are_left_to_ftetwild(strip, tmp_path, monkeypatch):
+    """Faces keep their numbers; of several solids it would make one."""
+    pytest.importorskip("pytetwild")
+    program = tmp_path / "program.py"
+    text = _mesh.PROGRAM.read_text()
+    assert "_NARROW = 1e-3" in text
+    program.write_text(text.replace("_NARROW = 1e-3", "_NARROW = 0.0"))
+    monkeypatch.setattr(_mesh, "PROGRAM", program)
+    path = strip(1e-6)
+    with pytest.warns(MeshWarning, match=r"tets are flat.* So fTetWild filled it"):
+        wild = mesh_cad(path, size=SIZE, order=1)
+    monkeypatch.undo()
+    mesh = mesh_cad(path, size=SIZE, order=1)
+    assert [*wild.surface_groups] == [*mesh.surface_groups]
+    for name in mesh.surface_groups:
+        expected = area(mesh, mesh.faces(name))
+        assert area(wild, wild.faces(name)) == pytest.approx(expected, rel=0.1)
+
+
 @pytest.fixture
 def box_step(tmp_path):
     with modelled(tmp_path / "box.step") as shape:

@@ -1,15 +1,16 @@
 """Meshes of STL surfaces: clean ones by gmsh, others by fTetWild."""
 
 import itertools
+import re
 
 import meshio
 import numpy as np
 import pytest
 from exchange.cad.cad_models import CAVITY, FINGER, MIDDLE, modelled, write_finger
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, KDTree
 from wording import says
 
-from softcal_jax.exchange.cad import mesh_cad, read_stl
+from softcal_jax.exchange.cad import _mesh, mesh_cad, read_stl
 from softcal_jax.exchange.cad._surface import turned_outwards
 from softcal_jax.mesh import (
     MeshWarning,
@@ -257,3 +258,48 @@ def test_a_hole_is_filled_by_ftetwild_and_said(holed, tmp_path, monkeypatch):
     wall = select_cavity(mesh, MIDDLE)
     sides = 2 * sum(np.prod(CAVITY) / a for a in CAVITY) * MM**2
     assert face_shares(mesh, wall).sum() == pytest.approx(sides, rel=0.02)
+
+
+def deviation(message):
+    """The deviation that a message of fTetWild states [m]."""
+    (value,) = re.findall(r"lies up to (\S+) mm from", message)
+    return float(value) * MM
+
+
+def test_one_mesh_of_ftetwild_for_a_file_and_its_settings(tmp_path, monkeypatch):
+    """And how far it is off, over the hole too: against points spread on the file."""
+    pytest.importorskip("pytetwild")
+    points, triangles = box_triangles((0, 0, 0), (30, 10, 10))
+    path = write_boxes(tmp_path / "box.stl", (points, triangles[1:]))
+    make = lambda size=10 * MM, kept_in=(tmp_path,): mesh_cad(
+        path, size=size, length_unit="mm", order=1, kept_in=kept_in
+    )
+    with pytest.warns(MeshWarning, match="So fTetWild filled it") as said:
+        mesh = make()
+    (kept,) = tmp_path.glob("box.ftetwild-*.msh")
+    u = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 101)] * 2), -1).reshape(-1, 2)
+    u = u[u.sum(axis=1) <= 1.0]
+    a, b, c = np.moveaxis(points[triangles[1:]], 1, 0)
+    spread = a[:, None] + u[:, :1] * (b - a)[:, None] + u[:, 1:] * (c - a)[:, None]
+    faces = mesh.points[boundary_faces(mesh)]
+    places = np.concatenate([faces.mean(axis=1), faces.reshape(-1, 3)])
+    expected = KDTree(MM * spread.reshape(-1, 3)).query(places)[0].max()
+    assert deviation(str(said[0].message)) == pytest.approx(expected, rel=0.01)
+    with pytest.warns(MeshWarning) as again:
+        same = make()
+    assert str(again[0].message) == str(said[0].message)
+    np.testing.assert_array_equal(same.points, mesh.points)
+    np.testing.assert_array_equal(same.tets, mesh.tets)
+    # A folder that cannot be written; and other sizes, for which another one is made.
+    filled = _mesh.Filled(mesh.points / MM, mesh.tets)
+    monkeypatch.setattr(_mesh, "fill", lambda *_: filled)
+    with pytest.warns(MeshWarning) as said:
+        make(kept_in=[tmp_path / "absent"])
+    assert says(str(said[0].message), "another mesh each time ... softcal mesh")
+    assert [*tmp_path.glob("*.msh")] == [kept]
+    with pytest.warns(MeshWarning):
+        make(size=9 * MM)
+    assert len([*tmp_path.glob("box.ftetwild-*.msh")]) == 2
+    kept.write_text("nothing\n")
+    with pytest.raises(ValueError, match=rf"{kept.name}"):
+        make()
