@@ -421,3 +421,19 @@ def test_the_pressed_pad_is_calibrated(tmp_path):
     (middle,) = [c for c in result.configurations if c.role == "validation"]
     (cell,) = middle.effectors
     assert np.all(np.abs(cell.residual) < 3.0 * cell.std)
+
+
+@pytest.mark.filterwarnings("ignore::softcal_jax.mesh.MeshWarning")
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_project_of_a_round_model_loads_with_other_sizes(tmp_path, factor):
+    """Its load acts within the body: flat faces of other tets are off its round end."""
+    cad_models = pytest.importorskip("exchange.cad.cad_models")
+    with cad_models.modelled(tmp_path / "finger.step") as shape:
+        shape.addCylinder(0, 0, 0, 60, 0, 0, 8)
+        shape.addSphere(60, 0, 0, 8)
+        shape.fuse([(3, 1)], [(3, 2)])
+    propose_project(tmp_path / "finger.step", tmp_path / "mine", size=4e-3)
+    changes = {"mesh.size": f"{4 * factor:g} mm"}
+    path = tmp_path / "mine" / "project.toml"
+    project = load_project(path, changes=changes, solve=False)
+    assert project.model.mesh.n_tets > 100

@@ -121,7 +121,8 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         model=model.name if alone else str(model.resolve()),
         body=body,
         held=held,
-        tip=tip,
+        # Within a tet, since a finer or coarser mesh has its skin elsewhere.
+        tip=mesh.centroids[locate(mesh, tip[None], max_distance=np.inf).tet[0]],
         chambers=find_chambers(mesh, held),
         recorded=recorded,
         own_frame=own_frame,
