@@ -102,7 +102,7 @@ def owned(nodes: HostArray, owner: int, *more: HostArray) -> tuple[Array, ...]:
     return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype), *more))
 
 
-_OUTSIDE = 1e-3
+OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
 
 
@@ -138,7 +138,7 @@ class RestState(Module):
         self, point: Float[HostArray, "3"], owner: str
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
         """Return the nodes and weights [-] that carry a material point of the mesh."""
-        near, names = _OUTSIDE * self.mesh.size, [f"the point of {owner}"]
+        near, names = OUTSIDE * self.mesh.size, [f"the point of {owner}"]
         place = locate(self.mesh, point[None], max_distance=near, names=names)
         return place.nodes[0], place.weights[0]
 

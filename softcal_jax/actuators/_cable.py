@@ -13,6 +13,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
+    OUTSIDE,
     AbstractActuator,
     AbstractDisplacedCliques,
     AbstractPotentialCliques,
@@ -23,6 +24,7 @@ from softcal_jax.actuators._actuator import (
 )
 from softcal_jax.bodies import Vector, as_floats, three_numbers
 from softcal_jax.elements import vector_length
+from softcal_jax.mesh import locate, ring_around
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
@@ -70,11 +72,16 @@ class Cable(AbstractActuator):
         friction: Coefficient of friction mu at the guides [-].
         pulled_from: The end that is pulled, the "first" or "last" guide; only used with
             friction.
+        max_distance: How far guides on the mesh may lie outside it, as on eyelets,
+            which move with the nearest point of the mesh [m]; None for a thousandth of
+            its size. A guide in a channel follows the ring of wall around it instead: a
+            mean of its nodes, which is exact for rigid motions and uniform strains.
     """
 
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None
+    max_distance: float | None = None
     kind: ClassVar[Kind] = Kind("cable", "N", "m", unilateral=True)
 
     def __check_init__(self):
@@ -120,28 +127,45 @@ class Cable(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "tuple[CableSegments | FrictionalCables]":
-        carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
+        carriers = self._carriers(rest)
         if self.friction:
             # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
             pulled = np.full(1, float(self.friction)), np.ones(1)
             return (FrictionalCables(*_stacked([_along(order)], owner, *pulled)),)
-        m = 2 * max(4, rest.mesh.tets.shape[1])
+        m = 2 * max(4, rest.mesh.tets.shape[1], *(len(w) for _, w, _ in carriers))
         # Only segments that can change their length.
         both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
         segments = [_along(ends, m) for ends, on in both if not _fixed_length(*on)]
         return (CableSegments(*_stacked(segments, owner)),)
 
-    def _carriers(self, i: int, rest: RestState):
-        """Return nodes and weights of a guide, and the fixed part of its position."""
-        guide, owner = self.guides[i], f"{self.label}, guide {i}"
-        if guide.on == "ground":
-            return np.zeros(0, np.int32), np.zeros(0), guide.point
-        if guide.on == "mesh":
-            return *rest.on_mesh(guide.point, owner), np.zeros(3)
-        known = ["mesh", "ground", *rest.bodies]
-        check_known(f"carrier of {owner}", known, guide.on)
-        return *rest.on_body(guide.point, guide.on, owner), np.zeros(3)
+    def _carriers(self, rest: RestState) -> list[tuple[HostArray, ...]]:
+        """Return nodes and weights of each guide, and the fixed part of its place."""
+        points = np.stack([guide.point for guide in self.guides])
+        names = [f"{self.label}, guide {i}" for i in range(len(points))]
+        near, carriers, beside = OUTSIDE * rest.mesh.size, [], []
+        for i, guide in enumerate(self.guides):
+            if guide.on == "ground":
+                carried = np.zeros(0, np.int32), np.zeros(0)
+            elif guide.on == "mesh":
+                place = locate(rest.mesh, points[[i]], max_distance=np.inf)
+                carried = place.nodes[0], place.weights[0]
+                ring = place.distance[0] > near and ring_around(rest.mesh, points[i])
+                carried, beside = ring or carried, beside + [i] * (ring is None)
+            else:
+                known = ["mesh", "ground", *rest.bodies]
+                check_known(f"carrier of {names[i]}", known, guide.on)
+                carried = rest.on_body(points[i], guide.on, names[i])
+            carriers.append((*carried, points[i] * (guide.on == "ground")))
+        if self.max_distance is not None:
+            near = self.max_distance
+        try:
+            of_mesh = [names[i] for i in beside]
+            locate(rest.mesh, points[beside], max_distance=near, names=of_mesh)
+        except ValueError as error:
+            more = "If they are on eyelets or rings, say how far these reach"
+            raise ValueError(f"{error} {more}: max_distance.") from error
+        return carriers
 
 
 def _fixed_length(a: Guide, b: Guide) -> bool:

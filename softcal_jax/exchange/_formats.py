@@ -195,7 +195,8 @@ def cable_guides(
 ) -> Iterator[tuple[Float[HostArray, "3"], Float[HostArray, " n_nodes"]]]:
     """Yield place at rest [m] and weights of nodes of each guide, 0 on the ground."""
     groups, points = model.mechanism.actuators.groups, model.mesh.points
-    (segments,) = (group for group in groups if isinstance(group, CableSegments))
+    cables = (group for group in groups if isinstance(group, CableSegments))
+    segments = next(group for group in cables if owner in np.asarray(group.owner))
     last = None
     for i in np.flatnonzero(np.asarray(segments.owner) == owner):
         ends = np.asarray(segments.weights[i]), np.asarray(segments.fixed[i])

@@ -159,7 +159,7 @@ def _too_far(
     away, allowed = (readable_values([d], "m") for d in (float(distance[worst]), limit))
     far = np.flatnonzero(distance > limit).tolist()
     others = [labels[i] for i in far if i != worst]
-    also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
+    also = ", ".join(others[:40]) + ", ..." * (len(others) > 40)
     check = "Check the frame of the points"
     # Points near the mesh and its origin stay near it, whatever they are divided by.
     if distance[far].min() > mesh.size:

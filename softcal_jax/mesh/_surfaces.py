@@ -23,6 +23,10 @@ CAD_FACE = re.compile(r"face \d+")
 _ROUNDING = 1e-6
 """Distance at which a point lies on several faces, over the size of the mesh [-]."""
 
+_RAYS = 12
+_NARROW = 0.2
+"""Rays that look for the wall of a channel, and their length over the mesh size [-]."""
+
 _ENCLOSED = 0.5
 """Share of all directions in which the wall of a cavity is seen, at least [-]."""
 
@@ -109,6 +113,39 @@ def select_cavity(
             f" Surface groups: {known}."
         )
     return surface.faces[chosen]
+
+
+def ring_around(
+    mesh: TetMesh, point: Float[HostArray, "3"]
+) -> tuple[Int[HostArray, " n"], Float[HostArray, " n"]] | None:
+    """Find the ring of wall around a point in a channel, or None if it has gaps.
+
+    The channel goes across the normals of the wall that is seen from the point. Rays
+    across it meet the wall within a fifth of the size of the mesh, in faces whose
+    corners are the ring. The weights [-] of these nodes are as equal as can be while
+    linear fields are exact at the point.
+    """
+    faces = boundary_faces(mesh)[:, :3]
+    corners = mesh.points[faces]
+    seen = -seen_from(corners, point)
+    # The rim of a channel and a face beside it, seen edge-on, do not count.
+    faces, corners, seen = (x[seen > _ROUNDING] for x in (faces, corners, seen))
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    normals = np.cross(b - a, c - a)
+    weights = seen / np.sum(normals**2, axis=1)
+    across = np.linalg.eigh((normals.T * weights) @ normals)[1][:, 1:]
+    turn = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
+    rays, tiny = across @ [np.cos(turn), np.sin(turn)], 1e-9 * mesh.size**2
+    # A ray meets a triangle if it passes all three sides on their inner side.
+    passed = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)]) @ rays
+    away = np.sum(a * normals, axis=1)[:, None] / np.minimum(normals @ rays, -tiny)
+    away[passed.max(axis=0) > tiny] = np.inf
+    if not len(away) or away.min(axis=0).max() > _NARROW * mesh.size:
+        return None
+    nodes = np.unique(faces[away.argmin(axis=0)])
+    linear = np.vstack([np.ones(len(nodes)), (mesh.points[nodes] - point).T])
+    equal = np.full(len(nodes), 1.0 / len(nodes))
+    return nodes, equal + np.linalg.lstsq(linear, np.eye(4)[0] - linear @ equal)[0]
 
 
 def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:

@@ -34,7 +34,7 @@ from softcal_jax.project._configurations import Posed, build_configuration
 from softcal_jax.project._design import build_design
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._problems import WrongKeyError, in_file, under
+from softcal_jax.project._problems import WrongKeyError, in_file, one_by_one, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
@@ -120,7 +120,7 @@ def _built(
 ) -> Project:
     """Build the project, reporting errors under the key they belong to."""
     solver = table.newton.solver if solve else "none"
-    model, space = _model(path.parent, table, solver), build_space(table)
+    model, space = _model(path, table, solver), build_space(table)
     if space is not None:
         with under("parameters"):
             check_parameters(model, space)
@@ -162,8 +162,9 @@ def _built(
     )
 
 
-def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
+def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
     """Build the model; each body and each actuator is checked under its own key."""
+    folder, problems = path.parent, []
     mesh = _mesh(folder, table)
     bodies, actuators = [], []
     for name, body in table.bodies.items():
@@ -175,9 +176,14 @@ def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
     with under("bodies"):
         build_mechanism(mesh, bodies)
     for name, actuator in table.actuators.items():
-        with under(f"actuators.{name}"):
-            actuators.append(actuator.build(name))
-            build_mechanism(mesh, bodies, actuators[-1:], at_rest=False)
+        try:
+            with under(f"actuators.{name}"):
+                actuators.append(actuator.build(name))
+                build_mechanism(mesh, bodies, actuators[-1:], at_rest=False)
+        except WrongKeyError as error:
+            problems.append(str(error))
+    if problems:
+        raise one_by_one(path, problems)
     with under("actuators"):
         build_mechanism(mesh, bodies, actuators, at_rest=False)
     with under("material"):

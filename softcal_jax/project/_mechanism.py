@@ -156,6 +156,7 @@ class CableTable(ActuatorTable):
     )
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None
+    max_distance: typed.Length | None = None
 
     @field_validator("guides", mode="before")
     @classmethod

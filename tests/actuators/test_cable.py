@@ -12,9 +12,10 @@ from actuator_programs import (
     curvature_entries,
     with_frames,
 )
+from wording import says
 
 from softcal_jax.actuators import Cable, Guide, actuator_arrays, clique_nodes
-from softcal_jax.mesh import beam, locate
+from softcal_jax.mesh import TetMesh, beam, locate, ring_around
 
 PATH = ((0.0, 0.01, 0.02), (0.03, 0.03, 0.02), (0.1, 0.01, 0.0))
 ORIGIN = np.array([0.2, 0.0, 0.1])
@@ -172,6 +173,50 @@ def test_guide_slightly_outside_is_carried():
     delta = actuator_displacements(arrays, jnp.asarray(1.5 * mesh.points))
     expected = -0.5 * length(start, PATH[2])
     np.testing.assert_allclose(delta, [expected], rtol=1e-12)
+
+
+def channelled(order=1, n_sides=4):
+    """A bar with a square hole along x, of 10 mm, or a groove that is open above."""
+    bar = beam(0.06, 0.03, 0.03, (4, 3, 3), order=order)
+    y, z = np.abs(bar.centroids[:, 1:].T - 0.015)
+    upwards = bar.centroids[:, 2] > 0.015
+    hole = (y < 0.005) & ((z < 0.005) | (upwards & (n_sides == 3)))
+    used, tets = np.unique(bar.tets[~hole], return_inverse=True)
+    return TetMesh(bar.points[used], tets.reshape(-1, bar.tets.shape[1]))
+
+
+AXIS = ((0.0, 0.015, 0.015), (0.02, 0.016, 0.013), (0.06, 0.015, 0.015))
+F = np.array([[0.9, 0.2, 0.1], [-0.1, 1.2, 0.3], [0.2, -0.3, 0.8]])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("friction", [{}, {"friction": 0.2, "pulled_from": "last"}])
+def test_guides_in_a_channel_follow_the_ring_of_wall(order, friction):
+    """Exactly in a linear field; in others as its mean: an opposite bulge cancels."""
+    mesh = channelled(order)
+    arrays = arrays_of(mesh, Cable("c", AXIS, **friction))
+    delta = actuator_displacements(arrays, jnp.asarray(mesh.points @ F.T))
+    expected = length(*AXIS) - length(*(np.array(AXIS) @ F.T))
+    np.testing.assert_allclose(delta, [expected], rtol=1e-10)
+    nodes, weights = ring_around(mesh, np.array(AXIS[2]))
+    away = mesh.points[nodes, 1:] - 0.015
+    # Of the corners of the square hole, in the end face and one cell before it.
+    np.testing.assert_allclose(np.abs(away), 0.005, rtol=1e-9)
+    assert {*map(tuple, np.sign(away))} == {(a, b) for a in (-1, 1) for b in (-1, 1)}
+    np.testing.assert_allclose(weights @ mesh.points[nodes], AXIS[2], atol=1e-15)
+    assert weights.min() > -1e-12
+
+
+def test_guides_in_a_groove_need_a_distance():
+    """Open on one side, it is no channel; all of them are named at once."""
+    mesh = channelled(n_sides=3)
+    with pytest.raises(ValueError, match="max_distance") as refused:
+        arrays_of(mesh, Cable("c", AXIS))
+    assert says(str(refused.value), "guide 0 ... 5 mm ... guide 1 ... guide 2")
+    arrays = arrays_of(mesh, Cable("c", AXIS, max_distance=0.006))
+    delta = actuator_displacements(arrays, jnp.asarray(mesh.points @ F.T))
+    expected = length(*AXIS) - length(*(np.array(AXIS) @ F.T))
+    np.testing.assert_allclose(delta, [expected], rtol=1e-10)
 
 
 def test_unknown_carrier_is_suggested():

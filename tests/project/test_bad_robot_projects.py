@@ -75,6 +75,15 @@ CASES = {
         ('"(50, 10, 20) mm",', '"(50, 10, 20) cm",'),
         "actuators.cable: ... guide 1 ... (500, 100, 200) mm",
     ),
+    "all that is wrong of actuators at once": (
+        (
+            CABLE,
+            '[actuators.air]\ntype = "chamber"\nsurface = "z_max"\n'
+            '[actuators.far]\ntype = "cable"\nmax_distance = "1 mm"\n'
+            f'guides = ["(50, 10, 22) mm", "(80, 10, 23) mm"]\n{CABLE}',
+        ),
+        "actuators.far: ... guide 1 ... 3 mm ... 1 mm ... guide 0 ... max_distance",
+    ),
     "a guide on an unknown body": (
         ('on = "plate"', 'on = "plat"'),
         "actuators.cable: ... guide 2 ... 'plat' ... 'mesh'",
