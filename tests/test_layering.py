@@ -15,7 +15,7 @@ ROOT = Path(softcal_jax.__file__).parent
 LAYERS = [
     {"_warnings"},
     {
-        *("_compilation_cache", "_limits", "_names", "_places"),
+        *("_apart", "_compilation_cache", "_limits", "_names", "_places"),
         *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_lanes", "_module"},

@@ -67,9 +67,7 @@ class CadMeshTable(_MeshTable):
     def build(self, folder: Path) -> TetMesh:
         options = self.model_dump(include={"size", "length_unit"})
         path = folder / self.file
-        # Beside the model first: it may be that of several projects.
-        options["kept_in"] = (path.parent, folder)
-        return mesh_cad(path, order=self.order, **options)
+        return mesh_cad(path, order=self.order, kept_in=folder, **options)
 
     def files(self, folder: Path) -> tuple[Path, ...]:
         return (folder / self.file,)

@@ -7,21 +7,16 @@ their own (`_program.py`), with limits on time and memory.
 import importlib.util
 import math
 import os
-import pickle
-import re
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from subprocess import TimeoutExpired
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax import mesh as meshes
+from softcal_jax._apart import OUT_OF_MEMORY, run_apart
 from softcal_jax._files import check_file, digest_of
 from softcal_jax._limits import (
     MESHING_MEGABYTES,
@@ -42,9 +37,6 @@ CAD_FORMATS = (*_STEP, ".stl")
 
 PROGRAM = Path(__file__).with_name("_program.py")
 """What fills models, in a process of its own."""
-
-_OUT_OF_MEMORY = re.compile("MemoryError|bad_alloc|alloc failed|out of memory", re.I)
-"""How programs say that they get no more memory."""
 
 _LOST = 0.02  # share of the volume that flat faces may cut off without a warning [-]
 
@@ -75,7 +67,7 @@ def mesh_cad(
     size: float | None = None,
     length_unit: str | None = None,
     order: int = 2,
-    kept_in: Sequence[Path] = (),
+    kept_in: Path | None = None,
 ) -> meshes.TetMesh:
     """Fill a CAD model with tets by gmsh, and name its faces and solids.
 
@@ -98,8 +90,8 @@ def mesh_cad(
         length_unit: Unit of an STL file, which does not state it: "m", "cm", "mm",
             "um" or "inch". None for a STEP file, which states it.
         order: 2 for quadratic tets, 1 for linear ones.
-        kept_in: Folders in which a mesh of fTetWild is looked for, by what it is made
-            of, and kept in the first that can be written; none to keep none.
+        kept_in: Folder in which a mesh of fTetWild is kept, and looked for by what it
+            is made of; None to make it each time.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -166,7 +158,7 @@ def _filled(
     path: Path,
     size: float | None,
     metres: float,
-    kept_in: Sequence[Path],
+    kept_in: Path | None,
     notes: list[str],
 ) -> Filled:
     """Fill a model by gmsh, or its surface by fTetWild where gmsh cannot."""
@@ -182,7 +174,7 @@ def _filled(
             notes += turned
             if n := int((meshes.sides_of(surface.triangles).counts != 2).sum()):
                 raise GmshError(f"it is open: {n} edges do not join two triangles.")
-            filled = fill("gmsh, STL", _given(surface), size)
+            filled = fill("gmsh, STL", surface.given, size)
         # FTetWild would make one solid of several.
         if not filled.n_flat or len(filled.solids) > 1:
             return filled
@@ -224,45 +216,36 @@ def _filled(
     return Filled(mesh.points, mesh.tets, of_face)
 
 
-def _given(surface: Triangles) -> dict[str, Any]:
-    normals = np.cross(*np.diff(surface.corners, axis=1).transpose(1, 0, 2))
-    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
-    return surface._asdict() | {"volume": abs(surface.volume), "area": area}
-
-
 def _wild_mesh(
     path: Path,
     surface: Triangles,
     size: float | None,
-    kept_in: Sequence[Path],
+    kept_in: Path | None,
     notes: list[str],
 ) -> meshes.TetMesh:
     """Read the mesh of fTetWild that is kept of a surface, or make and keep it."""
     # A project file states the size with six digits.
     digest = digest_of(surface, f"size {size and f'{size:.6g}'}")
-    files = [folder / f"{path.stem}.ftetwild-{digest[:12]}.msh" for folder in kept_in]
-    for file in filter(os.path.exists, files):
-        return meshes.read_mesh(file, length_unit="m", order=1)
-    made = fill("pytetwild", _given(surface), size)
-    tets = meshes.oriented(made.tets, made.points[made.tets])
-    mesh = meshes.TetMesh(made.points, tets)
-    meshes.check_mesh(mesh)
-    refused = ""
-    for file in files:
+    file = kept_in and kept_in / f"{path.stem}.ftetwild-{digest[:12]}.msh"
+    if file is None or not file.exists():
+        made = fill("pytetwild", surface.given, size)
+        tets = meshes.oriented(made.tets, made.points[made.tets])
+        mesh = meshes.TetMesh(made.points, tets)
+        meshes.check_mesh(mesh)
+        if file is None:
+            return mesh
         try:
-            if not os.path.exists(file):  # another process may have made it meanwhile
+            if not file.exists():  # another process may have made it meanwhile
                 with replacing(file) as new:
                     meshes.write_mesh(mesh, new, length_unit="m")
-            return meshes.read_mesh(file, length_unit="m", order=1)
         except OSError as error:
-            refused = cause(error)
-    if refused:
-        notes.append(
-            "fTetWild makes another mesh each time, and this one cannot be kept "
-            f"({refused}): make it once with `softcal mesh`, and name that file in the "
-            "project."
-        )
-    return mesh
+            notes.append(
+                "fTetWild makes another mesh each time, and this one cannot be kept "
+                f"({cause(error)}): make it once with `softcal mesh`, and name that "
+                "file in the project."
+            )
+            return mesh
+    return meshes.read_mesh(file, length_unit="m", order=1)
 
 
 def _named(filled: Filled, metres: float) -> meshes.TetMesh:
@@ -289,22 +272,14 @@ def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
             f"making a mesh of a CAD model needs {package}: pip install "
             "'softcal-jax[cad]'."
         )
-    given = {"by": by, "size": size, **given, "sharp": meshes.SHARP}
-    given |= {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
-    with tempfile.TemporaryDirectory() as folder:
-        given_at, made_at = Path(folder, "given"), Path(folder, "made")
-        given_at.write_bytes(pickle.dumps(given))
-        command = [sys.executable, str(PROGRAM), str(given_at), str(made_at)]
-        options = {"cwd": folder, "capture_output": True, "errors": "replace"}
-        seconds = min(MESHING_SECONDS.most, threading.TIMEOUT_MAX)
-        try:
-            done = subprocess.run(command, timeout=seconds, **options)
-        except subprocess.TimeoutExpired as error:
-            raise _at_limit(by, "has not filled it within", MESHING_SECONDS) from error
-        if done.returncode == 0:
-            made = pickle.loads(made_at.read_bytes())
-        else:
-            made = {"reason": "ended", "text": _how_it_ended(done), "number": math.nan}
+    given = {"by": by, "size": size, **given, "sharp": meshes.SHARP, "most": TETS.most}
+    seconds, megabytes = MESHING_SECONDS.most, MESHING_MEGABYTES.most
+    try:
+        made, _ = run_apart(PROGRAM, given, seconds=seconds, megabytes=megabytes)
+    except TimeoutExpired as error:
+        raise _at_limit(by, "has not filled it within", MESHING_SECONDS) from error
+    except (MemoryError, RuntimeError) as error:
+        made = {"reason": "ended", "text": str(error)}
     if "reason" in made:
         raise _refusal(by, **made)
     return Filled(**made)
@@ -319,21 +294,12 @@ def _at_limit(by: str, what: str, limit: Limit) -> LimitError:
     )
 
 
-def _how_it_ended(process: subprocess.CompletedProcess[str]) -> str:
-    # By SIGKILL Linux ends a process when memory runs out.
-    if _OUT_OF_MEMORY.search(process.stderr) or process.returncode == -9:
-        return "out of memory"
-    if process.returncode < 0:
-        return f"it crashed ({signal.strsignal(-process.returncode)})"
-    return (process.stderr.strip().splitlines() or ["it does not say why"])[-1]
-
-
 def _refusal(
-    by: str, reason: str, text: str, number: float
+    by: str, reason: str, text: str, number: float = math.nan
 ) -> ValueError | ImportError:
     """Return the error of a reason for which nothing was made."""
     text = escaped(text)
-    if _OUT_OF_MEMORY.search(text):
+    if OUT_OF_MEMORY.search(text):
         what = "needs more memory than there is, or than"
         return _at_limit(by, what, MESHING_MEGABYTES)
     if reason == "tets":

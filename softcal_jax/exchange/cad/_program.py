@@ -1,15 +1,10 @@
-"""Fills a CAD model with tets, in a process of its own: `python _program.py in out`.
+"""Fills a CAD model with tets, in a process of its own: `main`, run by `_apart`.
 
-Damaged models crash gmsh, or it meshes them for ever, so it runs beside the package,
-of which this file imports nothing: it starts in a fraction of a second. What is given
-and made, or why nothing is made, are pickled dictionaries; see `exchange.cad._mesh`.
+Damaged models crash gmsh, or it meshes them for ever. What is given and made, or why
+nothing is made, are dictionaries; see `exchange.cad._mesh`.
 """
 
-import pickle
-import sys
-from itertools import combinations, product
 from math import sqrt
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,15 +31,15 @@ _FLAT = 1e-6
 """Volume below which a tet is flat, over the regular tet, as for `check_mesh` [-]."""
 
 _SLIVER = 1e-4  # the same below which it is mended, for such tets invert easily
-_NARROW = 1e-3  # distances that are bridged to mend it, over the rms edge of the tet
+_NARROW = 1e-3  # edges of it that shrink to a node, over the size
 
 
 class RefusedError(Exception):
     """No mesh is made; `reason` says of what kind the text is."""
 
-    def __init__(self, reason: str, text: str, number: float = np.nan):
+    def __init__(self, reason: str, text: str, **number: float):
         super().__init__(text)
-        self.made = {"reason": reason, "text": text, "number": number}
+        self.made = {"reason": reason, "text": text, **number}
 
 
 def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
@@ -98,7 +93,6 @@ def fill_wild(given: Any) -> dict[str, Any]:
     """
     from pytetwild import tetrahedralize  # pyright: ignore[reportPrivateImportUsage]
 
-    _limit_memory(given["megabytes"])
     points, tets = tetrahedralize(
         given["points"],
         given["triangles"],
@@ -152,7 +146,7 @@ def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
     triangles = [nodes_of(_TRIANGLE, tag).astype(int).reshape(-1, 3) for tag in outer]
     places = np.zeros((int(tags.max()) + 1, 3))
     places[tags.astype(int)] = coordinates.reshape(-1, 3)
-    n, cells = len(by_solid), _mended(places, [*by_solid, *triangles])
+    n, cells = len(by_solid), _mended(places, [*by_solid, *triangles], _NARROW * size)
     used, tets = np.unique(np.concatenate(cells[:n]), return_inverse=True)
     points, tets = places[used], tets.reshape(-1, 4)
     ends = np.cumsum([len(solid) for solid in cells[:n]])
@@ -174,40 +168,20 @@ def _shapes(corners: Any) -> Any:
     return volume / (_REGULAR * np.maximum(rms, np.finfo(float).tiny) ** 3)
 
 
-def _mended(points: Any, cells: list[Any]) -> list[Any]:
-    """Merge a corner of each sliver into what it nearly lies on: others of its corners.
+def _mended(places: Any, cells: list[Any], narrow: float) -> list[Any]:
+    """Make one node of the ends of short edges of slivers.
 
-    Cells, of tets and of triangles, that hold all of these are cut at that corner, and
-    vanish where they hold it too.
+    Cells, of tets and of triangles, that had both ends vanish.
     """
-    while True:
-        tets = np.concatenate([cell for cell in cells if cell.shape[1] == 4])
-        shapes = _shapes(points[tets])
-        worst = tets[np.argsort(shapes)[: np.sum(shapes < _SLIVER)]]
-        mendable = (_nearly_on(points, tet) for tet in worst)
-        corner, others = next(filter(None, mendable), (0, ()))
-        if not others:
-            return cells
-        for k, cell in enumerate(cells):
-            whole = np.isin(cell, others).sum(axis=1) == len(others)
-            cut = cell[whole & ~(cell == corner).any(axis=1)]
-            parts = [np.where(cut == other, corner, cut) for other in others]
-            cells[k] = np.concatenate([cell[~whole], *parts])
-
-
-def _nearly_on(points: Any, tet: Any) -> tuple[int, Any] | None:
-    """Find a corner of a tet that nearly lies on another, an edge, or a face of it."""
-    edges = points[tet[:, None]] - points[tet]
-    near = _NARROW * np.sqrt((edges**2).sum(axis=-1).mean())
-    for n, corner in product((1, 2, 3), tet):
-        for others in combinations(tet[tet != corner], n):
-            start, ends = points[others[0]], points[list(others[1:])]
-            sides, gap = (ends - start).T, points[corner] - start
-            shares = np.linalg.lstsq(sides, gap)[0]
-            inside = shares.min(initial=0.0) >= 0.0 and shares.sum() <= 1.0
-            if inside and np.linalg.norm(sides @ shares - gap) < near:
-                return corner, others
-    return None
+    tets = np.concatenate([cell for cell in cells if cell.shape[1] == 4])
+    slivers = tets[_shapes(places[tets]) < _SLIVER]
+    ends = slivers[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
+    short = np.linalg.norm(np.diff(places[ends], axis=1), axis=(1, 2)) < narrow
+    kept = np.arange(len(places))
+    for a, b in ends[short]:
+        kept[kept == kept[b]] = kept[a]
+    cells = [kept[cell] for cell in cells]
+    return [cell[(np.diff(np.sort(cell)) > 0).all(axis=1)] for cell in cells]
 
 
 def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:
@@ -216,7 +190,6 @@ def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:
         import gmsh  # pyright: ignore[reportMissingImports]
     except OSError as error:
         raise RefusedError("import", str(error)) from error
-    _limit_memory(given["megabytes"])
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.NumThreads", 1)
@@ -229,31 +202,11 @@ def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:
         raise RefusedError("gmsh", f"{said}.") from error
 
 
-def _limit_memory(megabytes: float) -> None:
-    """Let the process take no more memory from here on, where the system can do so."""
-    if sys.platform != "linux" or megabytes == np.inf:
-        return
-    import resource
-
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = int(1e6 * megabytes)
-    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-
-
-def main(given_at: str, made_at: str) -> None:
-    """Fill what the first file holds; the second gets tets, or a reason."""
-    given = pickle.loads(Path(given_at).read_bytes())
+def main(given: Any) -> dict[str, Any]:
+    """Fill what is given; return its tets, or a reason."""
     try:
         if given["by"] == "pytetwild":
-            made = fill_wild(given)
-        else:
-            fill = fill_step if given["by"] == "gmsh, STEP" else fill_surface
-            made = _by_gmsh(fill, given)
+            return fill_wild(given)
+        return _by_gmsh(fill_step if "path" in given else fill_surface, given)
     except RefusedError as error:
-        made = error.made
-    Path(made_at).write_bytes(pickle.dumps(made))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+        return error.made

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -36,6 +36,17 @@ class Triangles(NamedTuple):
     def volume(self) -> float:
         """Volume that the triangles enclose, where their normals point outwards."""
         return float(np.sum(_cones(self.corners)))
+
+    @property
+    def areas(self) -> Float[HostArray, " n_triangles"]:
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What the program that fills it needs."""
+        size = {"volume": abs(self.volume), "area": self.areas.sum()}
+        return self._asdict() | size
 
 
 def read_stl(path: Path) -> Triangles:
@@ -74,8 +85,7 @@ def _check_shape(surface: Triangles) -> None:
     far = np.abs(surface.points).max() / max(size, np.finfo(float).tiny)
     a, b, c = np.moveaxis(surface.corners, 1, 0)
     longest = np.linalg.norm([b - a, c - b, a - c], axis=-1).max(axis=0)
-    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    thin = np.mean(double_area <= _THIN * size * longest)
+    thin = np.mean(2.0 * surface.areas <= _THIN * size * longest)
     loose = np.mean(sides_of(surface.triangles).counts == 1)
     for bad, what in (
         (far > _FAR, f"it lies {far:.2g} times its size away from the origin"),

@@ -271,7 +271,7 @@ def test_one_mesh_of_ftetwild_for_a_file_and_its_settings(tmp_path, monkeypatch)
     pytest.importorskip("pytetwild")
     points, triangles = box_triangles((0, 0, 0), (30, 10, 10))
     path = write_boxes(tmp_path / "box.stl", (points, triangles[1:]))
-    make = lambda size=10 * MM, kept_in=(tmp_path,): mesh_cad(
+    make = lambda size=10 * MM, kept_in=tmp_path: mesh_cad(
         path, size=size, length_unit="mm", order=1, kept_in=kept_in
     )
     with pytest.warns(MeshWarning, match="So fTetWild filled it") as said:
@@ -294,7 +294,7 @@ def test_one_mesh_of_ftetwild_for_a_file_and_its_settings(tmp_path, monkeypatch)
     filled = _mesh.Filled(mesh.points / MM, mesh.tets)
     monkeypatch.setattr(_mesh, "fill", lambda *_: filled)
     with pytest.warns(MeshWarning) as said:
-        make(kept_in=[tmp_path / "absent"])
+        make(kept_in=tmp_path / "absent")
     assert says(str(said[0].message), "another mesh each time ... softcal mesh")
     assert [*tmp_path.glob("*.msh")] == [kept]
     with pytest.warns(MeshWarning):
