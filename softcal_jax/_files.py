@@ -39,9 +39,9 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def once(read: Callable[..., Any]) -> Callable[..., Any]:
+def once(read: Callable[..., Any], *, most: int = 8) -> Callable[..., Any]:
     """Keep what the last files gave until they change: poses share long tables."""
-    kept = lru_cache(maxsize=100)(lambda sha256, *given, **more: read(*given, **more))
+    kept = lru_cache(maxsize=most)(lambda sha256, *given, **more: read(*given, **more))
     content = lambda path: sha256_of(path) if path.is_file() else None
     return wraps(read)(lambda path, *a, **more: kept(content(path), path, *a, **more))
 

@@ -2,17 +2,15 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import meshio
 import numpy as np
 
 from softcal_jax._files import check_file
 from softcal_jax._limits import MEGABYTES
-from softcal_jax.elements import TET_FACES
 from softcal_jax.mesh._topology import LOCAL_FACES
 
 _KINDS = {
@@ -30,31 +28,11 @@ Where the number is 0, a row is an element. Wedges count as hexahedra, beams and
 as lines.
 """
 
-_FACES = {
-    f"S{label}": next(k for k, face in enumerate(TET_FACES) if opposite not in face)
-    for label, opposite in ((1, 3), (2, 2), (3, 0), (4, 1))
-}
-"""Rows of `LOCAL_FACES` by the labels of the faces of a tet."""
-
 _RULES = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"}
 """Keywords that make or move nodes and elements."""
 
-
-class _Section(NamedTuple):
-    keyword: str
-    options: dict[str, str]
-    rows: list[list[str]]
-
-    @classmethod
-    def opened_by(cls, line: str) -> "_Section":
-        """Take a line apart; one without a star opens a section without a keyword."""
-        keyword, *options = line[1:].split(",") if line.startswith("*") else [""]
-        pairs = [option.partition("=") for option in options]
-        values = {key.strip().upper(): text.strip(" \t\"'") for key, _, text in pairs}
-        return cls(keyword.strip().upper(), values, [])
-
-    def numbers(self) -> list[list[int]]:
-        return [[int(cell) for cell in row if cell] for row in self.rows]
+Rows = list[list[str]]
+Item = tuple[str, list[float] | list[int]]
 
 
 def included_files(path: Path) -> list[Path]:
@@ -70,12 +48,20 @@ def _lines(files: list[Path]) -> Iterator[str]:
     text = re.sub(r"(?m)^\*\*.*", "", source.read_text(errors="replace"))
     # A line with a keyword goes on after a comma.
     for line in re.sub(r"(?m)^(\*.*,)\s*\n", r"\1", text).splitlines():
-        keyword, options, _ = _Section.opened_by(line)
+        keyword, options = _opened(line)
         if keyword != "INCLUDE" and line.strip():
             yield line
         if "INPUT" in options and keyword in ("INCLUDE", "NODE", "ELEMENT"):
             files.append(_included(options["INPUT"], source, files))
             yield from _lines(files)
+
+
+def _opened(line: str) -> tuple[str, dict[str, str]]:
+    """Return the keyword and the options of a line; without a star it has none."""
+    keyword, *options = line[1:].split(",") if line.startswith("*") else [""]
+    pairs = [option.partition("=") for option in options]
+    values = {key.strip().upper(): text.strip(" \t\"'") for key, _, text in pairs}
+    return keyword.strip().upper(), values
 
 
 def _included(name: str, source: Path, files: list[Path]) -> Path:
@@ -101,39 +87,37 @@ def read_inp(path: Path) -> meshio.Mesh:
         ValueError: If something refers to what no line above it defines, or the file
             holds several parts, or makes nodes and elements by rules.
     """
-    model, sections = _Model(), [_Section.opened_by("")]
+    model, sections = _Model(), [("", {}, [])]
     for line in _lines([path.resolve()]):
         if line.startswith("*"):
-            sections.append(_Section.opened_by(line))
+            sections.append((*_opened(line), []))
         else:
-            sections[-1].rows.append([cell.strip() for cell in line.split(",")])
-    for section in sections:
+            sections[-1][2].append([cell.strip() for cell in line.split(",")])
+    for keyword, options, rows in sections:
         try:
-            model.add(section)
-        except KeyError as error:
-            what = f"{error} is missing, or no line above defines it"
-            raise ValueError(f"*{section.keyword}: {what}.") from error
-        except ValueError as error:
-            raise ValueError(f"*{section.keyword}: {error}.") from error
+            model.add(keyword, options, rows)
+        except (KeyError, ValueError) as error:
+            lost = " is missing, or no line above defines it"
+            what = f"{error}{lost if isinstance(error, KeyError) else ''}"
+            raise ValueError(f"*{keyword}: {what}.") from error
     return model.mesh()
 
 
 class _Model:
-    """Nodes and elements by number, and their sets by kind and name.
+    """Items by number: nodes (NSET) and elements (ELSET); and their sets by name.
 
     The faces of surfaces are elements too, with numbers below 0.
     """
 
     def __init__(self):
-        self.points: dict[int, list[float]] = {}
-        self.elements: dict[int, tuple[str, list[int]]] = {}
-        self.sets: dict[str, dict[str, set[int]]] = defaultdict(dict)
+        self.items: dict[str, dict[int, Item]] = {"NSET": {}, "ELSET": {}}
+        self.sets: dict[str, dict[str, set[int]]] = {"NSET": {}, "ELSET": {}}
+        self.written: dict[str, str] = {}  # names as the file has them first
+        self.origins: dict[tuple[str, str], tuple[str, int]] = {}
         self.parts: Counter[str] = Counter()
-        self.in_assembly: dict[tuple[str, str], int] = {}
 
-    def add(self, section: _Section) -> None:
+    def add(self, keyword: str, options: dict[str, str], rows: Rows) -> None:
         """Take over a section; those that define no part of a mesh are passed over."""
-        keyword, options, rows = section
         self.parts[keyword] += keyword in ("PART", "INSTANCE", "ASSEMBLY")
         moved = keyword == "INSTANCE" and any(float(x or 0) for x in chain(*rows))
         if moved or self.parts[keyword] > 1 or keyword in _RULES or "SYSTEM" in options:
@@ -142,109 +126,122 @@ class _Model:
                 "export a flat file, without parts, that lists all of them"
             )
         if keyword == "NODE":
-            for number, *x in rows:
-                point = [float(value or 0) for value in (x + ["0"] * 3)[:3]]
-                if self.points.setdefault(int(number), point) != point:
-                    raise ValueError(f"node {number} has two places, as in two parts")
-            self._extend("NSET", options.get("NSET"), {int(row[0]) for row in rows})
+            place = lambda x: [float(value or 0) for value in (*x, "", "", "")[:3]]
+            nodes = [(int(number), ("point", place(x))) for number, *x in rows]
+            self._define("NSET", nodes, options.get("NSET"))
         elif keyword == "ELEMENT":
-            self._add_elements(section)
+            elements = _elements(options["TYPE"].upper(), _integers(rows))
+            self._define("ELSET", elements, options.get("ELSET"))
         elif keyword in ("NSET", "ELSET"):
-            self._extend(keyword, options[keyword], self._members(section))
+            self._extend(
+                keyword, options[keyword], self._members(keyword, options, rows)
+            )
+        elif keyword == "SURFACE" and options.get("TYPE", "").upper() == "NODE":
+            nodes = [self._of("NSET", row[0]) for row in rows]
+            self._extend("NSET", options["NAME"], set().union(*nodes), "surface")
         elif keyword == "SURFACE":
-            self._add_surface(section)
+            self._define("ELSET", self._faces(rows), options["NAME"], "surface")
 
-    def _add_elements(self, section: _Section) -> None:
-        name, rows = section.options["TYPE"].upper(), section.numbers()
-        kind, n = next(k for start, k in _KINDS.items() if re.match(start, name))
-        if n:  # an element may take several rows
-            numbers = list(chain(*rows))
-            rows = [numbers[k : k + n + 1] for k in range(0, len(numbers), n + 1)]
-        for number, *nodes in rows:
-            if n and len(nodes) != n:
-                raise ValueError(f"element {number} has {len(nodes)} nodes, not {n}")
-            self.elements[number] = kind, nodes
-        self._extend("ELSET", section.options.get("ELSET"), {row[0] for row in rows})
+    def _define(
+        self,
+        kind: str,
+        items: Iterable[tuple[int, Item]],
+        name: str | None,
+        by: str = "",
+    ) -> None:
+        known, members = self.items[kind], set()
+        for number, item in items:
+            members.add(number)
+            if known.setdefault(number, item) != item:
+                raise ValueError(f"{number} is defined twice, as in two parts")
+        if name is not None:
+            self._extend(kind, name, members, by)
 
-    def _members(self, section: _Section) -> set[int]:
-        keyword, options, rows = section
-        if "GENERATE" in options:
-            known = self.points if keyword == "NSET" else self.elements
-            spans = [range(a, b + 1, *step) for a, b, *step in section.numbers()]
-            return {number for span in spans for number in known if number in span}
-        cells = [cell for cell in chain(*rows) if cell]
-        members = set(chain(*(self._named(keyword, cell) for cell in cells)))
-        if keyword == "NSET" and "ELSET" in options:
-            for element in self._named("ELSET", options["ELSET"]):
-                members.update(self.elements[element][1])
-        return members
+    def _extend(self, kind: str, name: str, members: set[int], by: str = "") -> None:
+        key, origin = name.upper(), (by, self.parts["ASSEMBLY"])
+        if self.origins.setdefault((kind, key), origin) != origin:
+            raise ValueError(
+                f"{name} is a set and a surface, or a set of the part and another one "
+                "of the assembly; rename one of them"
+            )
+        self.written.setdefault(key, name)
+        self.sets[kind].setdefault(key, set()).update(members)
 
-    def _add_surface(self, section: _Section) -> None:
-        name, rows = section.options["NAME"], section.rows
-        if section.options.get("TYPE", "").upper() == "NODE":
-            nodes = set(chain(*(self._named("NSET", of) for of, *_ in rows)))
-            return self._extend("NSET", name, nodes)
-        if self._written("ELSET", name) in self.sets["ELSET"]:
-            raise ValueError(f"an *ELSET is called {name} too; rename one of them")
-        for of, *label in rows:
-            for element in self._named("ELSET", of):
-                kind, nodes = self.elements[element]
-                if not (label and label[0] in _FACES and kind in ("tetra", "tetra10")):
-                    raise ValueError(
-                        f"the row {', '.join([of, *label])} of {name} stands for a "
-                        f"{kind}; expected a face S1 to S4 of tets"
-                    )
-                face = [nodes[k] for k in LOCAL_FACES[len(nodes)][_FACES[label[0]]]]
-                number = -1 - len(self.elements)
-                self.elements[number] = ("triangle6" if face[3:] else "triangle"), face
-                self._extend("SURFACE", name, {number})
-
-    def _named(self, kind: str, text: str) -> set[int]:
+    def _of(self, kind: str, text: str) -> set[int]:
         """Return what a number or the name of a set stands for."""
         if text.isdigit():
             return {int(text)}
-        return self.sets[kind][self._written(kind, text.rpartition(".")[2])]
+        return self.sets[kind][text.rpartition(".")[2].upper()]
 
-    def _written(self, kind: str, name: str) -> str:
-        """Return a name in upper and lower case as the file has it first."""
-        return next((k for k in self.sets[kind] if k.upper() == name.upper()), name)
+    def _members(self, kind: str, options: dict[str, str], rows: Rows) -> set[int]:
+        if "GENERATE" in options:
+            spans = [range(a, b + 1, *step) for a, b, *step in _integers(rows)]
+            return {n for span in spans for n in self.items[kind] if n in span}
+        members = {n for cell in chain(*rows) if cell for n in self._of(kind, cell)}
+        if kind == "NSET" and "ELSET" in options:
+            for element in self._of("ELSET", options["ELSET"]):
+                members.update(self.items["ELSET"][element][1])
+        return members
 
-    def _extend(self, kind: str, name: str | None, members: set[int]) -> None:
-        if name is None:
-            return
-        name, level = self._written(kind, name), self.parts["ASSEMBLY"]
-        if self.in_assembly.setdefault((kind, name), level) != level:
-            raise ValueError(f"the part has a set {name} too; rename one of them")
-        self.sets[kind].setdefault(name, set()).update(members)
+    def _faces(self, rows: Rows) -> Iterator[tuple[int, Item]]:
+        for of, *labels in rows:
+            label = "".join(labels[:1]).upper()
+            for element in sorted(self._of("ELSET", of)):
+                kind, nodes = self.items["ELSET"][element]
+                if label not in ("S1", "S2", "S3", "S4") or not kind.startswith("tet"):
+                    raise ValueError(
+                        f"the row {', '.join([of, *labels])} stands for a {kind}; "
+                        "expected a face S1 to S4 of tets"
+                    )
+                face = LOCAL_FACES[len(nodes)][int(label[1]) - 1]
+                triangle = "triangle6" if len(face) == 6 else "triangle"
+                yield (
+                    -10 * element - int(label[1]),
+                    (triangle, [nodes[k] for k in face]),
+                )
 
     def mesh(self) -> meshio.Mesh:
         """Return what was taken over; elements of one kind are one block."""
-        blocks: dict[tuple[str, int], list[int]] = {}
-        for number, (kind, nodes) in self.elements.items():
-            blocks.setdefault((kind, len(nodes)), []).append(number)
-        index = {number: k for k, number in enumerate(self.points)}
-        nodes_of = lambda e: [index[node] for node in self.elements[e][1]]
-        of_cells = {**self.sets["ELSET"], **self.sets["SURFACE"]}
-        if missing := set().union(*of_cells.values()) - self.elements.keys():
-            raise ValueError(f"no *ELEMENT line defines element {min(missing)}.")
+        points, elements = self.items.values()
+        index = {number: k for k, number in enumerate(points)}
+        blocks: dict[tuple[str, int], list[int]] = defaultdict(list)
+        for number, (kind, nodes) in elements.items():
+            blocks[kind, len(nodes)].append(number)
+        of_nodes, of_cells = (
+            {self.written[key]: members for key, members in sets.items()}
+            for sets in self.sets.values()
+        )
+        if lost := set().union(*of_cells.values()) - elements.keys():
+            raise ValueError(f"no *ELEMENT line defines element {min(lost)}.")
+        nodes_of = lambda e: [index[node] for node in elements[e][1]]
+        rows = lambda block, members: [k for k, e in enumerate(block) if e in members]
         try:
             return meshio.Mesh(
-                np.array(list(self.points.values())),
-                [
-                    (kind, [*map(nodes_of, block)])
-                    for (kind, _), block in blocks.items()
-                ],
+                np.array([place for _, place in points.values()]),
+                [(kind, [*map(nodes_of, b)]) for (kind, _), b in blocks.items()],
                 point_sets={
-                    name: [index[node] for node in sorted(nodes)]
-                    for name, nodes in self.sets["NSET"].items()
+                    name: [index[node] for node in sorted(members)]
+                    for name, members in of_nodes.items()
                 },
                 cell_sets={
-                    name: [
-                        [k for k, e in enumerate(block) if e in elements]
-                        for block in blocks.values()
-                    ]
-                    for name, elements in of_cells.items()
+                    name: [rows(block, members) for block in blocks.values()]
+                    for name, members in of_cells.items()
                 },
             )
         except KeyError as error:
             raise ValueError(f"no *NODE line defines node {error}.") from error
+
+
+def _integers(rows: Rows) -> list[list[int]]:
+    return [[int(cell) for cell in row if cell] for row in rows]
+
+
+def _elements(name: str, rows: list[list[int]]) -> Iterator[tuple[int, Item]]:
+    kind, n = next(k for start, k in _KINDS.items() if re.match(start, name))
+    if n:  # an element may take several rows
+        numbers = list(chain(*rows))
+        rows = [numbers[k : k + n + 1] for k in range(0, len(numbers), n + 1)]
+    for number, *nodes in rows:
+        if n and len(nodes) != n:
+            raise ValueError(f"element {number} has {len(nodes)} nodes, not {n}")
+        yield number, (kind, nodes)

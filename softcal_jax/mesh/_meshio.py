@@ -4,19 +4,18 @@ Libraries read in a process of their own (`_program.py`), and either return a me
 raise a `ValueError` that names the file; Abaqus files are read here.
 """
 
-import pickle
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
+from subprocess import TimeoutExpired
 from typing import Any, NamedTuple
 
 import meshio
 import numpy as np
 
+from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file
-from softcal_jax._limits import LimitError
+from softcal_jax._limits import MESHING_MEGABYTES, MESHING_SECONDS, LimitError
 from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
 from softcal_jax._warnings import SoftcalWarning
@@ -25,14 +24,16 @@ from softcal_jax.mesh._inp import read_inp
 FORMATS = (".msh", ".vtu", ".vtk", ".inp", ".med")
 """Extensions of files that `read_mesh` reads."""
 
-_PROGRAM = Path(__file__).with_name("_program.py")
-
-_SECONDS = 120.0
-"""Time that a library takes at most; a damaged file may take any [s]."""
-
 
 class MeshWarning(SoftcalWarning):
     """A mesh file was read, but not all of its content was used."""
+
+
+@lru_cache(maxsize=4)  # sweeps and notebooks read a mesh again and again
+def _by_library(suffix: str, content: bytes) -> tuple[meshio.Mesh, str]:
+    program, given = Path(__file__).with_name("_program.py"), (suffix, content)
+    limits = {"seconds": MESHING_SECONDS.most, "megabytes": MESHING_MEGABYTES.most}
+    return run_apart(program, given, **limits)
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
@@ -47,28 +48,14 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     try:
         if suffix == ".inp":
             return read_inp(path)
-        with tempfile.TemporaryDirectory() as folder:
-            made = Path(folder, "made")
-            what = [str(_PROGRAM), str(path.absolute()), str(made)]
-            done = subprocess.run(
-                [sys.executable, "-W", "ignore", *what],
-                timeout=_SECONDS,
-                cwd=folder,
-                capture_output=True,
-                errors="replace",
-            )
-            said = escaped(" ".join(done.stderr.split()))
-            if done.returncode:
-                raise ValueError(said or f"it crashes its library ({done.returncode}).")
-            raw = pickle.loads(made.read_bytes())
+        raw, said = _by_library(suffix, path.read_bytes())
     except LimitError:
         raise
-    except (ValueError, subprocess.TimeoutExpired) as error:
-        raise ValueError(
-            f"mesh file {path} cannot be read as {suffix}: {error}"
-        ) from error
+    except (ValueError, MemoryError, RuntimeError, TimeoutExpired) as error:
+        what = f"mesh file {path} cannot be read as {suffix}"
+        raise ValueError(f"{what}: {escaped(str(error))}") from error
     if said:
-        notes.append(f"meshio says: {said}")
+        notes.append(f"its reader says: {escaped(' '.join(said.split()))}")
     return raw
 
 

@@ -1,13 +1,6 @@
-"""Reads a mesh file in a process of its own: `python _program.py FILE MADE`.
+"""Reads a mesh file in a process of its own: `main`, run by `_apart`."""
 
-Damaged files crash the libraries or take all memory, so they run beside the package, of
-which this file imports nothing: it starts in a fraction of a second. What is read is
-pickled as a `meshio.Mesh`. The folder that it works in is its own.
-"""
-
-import pickle
 import re
-import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
@@ -15,17 +8,13 @@ from typing import Any
 import meshio
 import numpy as np
 
-_MOST = 8_000_000_000
-"""Memory that reading takes at most, where the system can limit it [bytes]."""
 
-
-def read_msh(path: str) -> meshio.Mesh:
+def read_msh(path: str, content: bytes) -> meshio.Mesh:
     """Read a .msh file by gmsh, or by meshio what that reads right.
 
     Raises:
         ValueError: If two physical groups have one name, or the file needs gmsh.
     """
-    content = Path(path).read_bytes()
     if not content.startswith((b"$MeshFormat", b"$NOD", b"$Comments")):
         # Gmsh would run it as a script.
         raise ValueError(f"it begins with {content[:20]!r}; expected $MeshFormat")
@@ -50,9 +39,7 @@ def read_msh(path: str) -> meshio.Mesh:
             "'softcal-jax[cad]', or export the mesh in version 2.2, without data (in "
             "Gmsh, Mesh.MshFileVersion = 2.2)"
         ) from error
-    alone = Path("mesh.msh")  # gmsh runs a script beside a file, mesh.msh.opt
-    alone.write_bytes(content)
-    return _by_gmsh(gmsh, str(alone), names)
+    return _by_gmsh(gmsh, path, names)
 
 
 def _by_gmsh(gmsh: Any, path: str, names: dict[tuple[int, int], str]) -> meshio.Mesh:
@@ -97,12 +84,11 @@ def _by_gmsh(gmsh: Any, path: str, names: dict[tuple[int, int], str]) -> meshio.
     return meshio.Mesh(points, cells, cell_data=data, cell_sets=sets)
 
 
-def read_vtk(path: str) -> meshio.Mesh:
+def read_vtk(path: str, content: bytes) -> meshio.Mesh:
     """Read an unstructured grid of VTK, in text, binary or XML whatever its name."""
     import pyvista
 
-    with open(path, "rb") as file:
-        suffix = ".vtu" if file.read(1000).lstrip().startswith(b"<") else ".vtk"
+    suffix = ".vtu" if content[:1000].lstrip().startswith(b"<") else ".vtk"
     with pyvista.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
         grid: Any = pyvista.read(path, force_ext=suffix)
     mesh = pyvista.to_meshio(grid)
@@ -115,29 +101,14 @@ def read_vtk(path: str) -> meshio.Mesh:
     return mesh
 
 
-def read_med(path: str) -> meshio.Mesh:
-    """Read a file of Salome."""
-    return meshio.read(path, file_format="med")
+def main(given: tuple[str, bytes]) -> meshio.Mesh:
+    """Read a file, given its suffix and content, by the library of its format.
 
-
-_READERS = {".msh": read_msh, ".vtu": read_vtk, ".vtk": read_vtk, ".med": read_med}
-
-
-def _main(path: str, made: str) -> None:
-    if sys.platform == "linux":
-        import resource
-
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        most = _MOST if hard == resource.RLIM_INFINITY else min(_MOST, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-    try:
-        mesh = _READERS[Path(path).suffix.lower()](path)
-    except Exception as error:  # libraries raise any
-        kind = type(error).__name__
-        named = f"{kind}: " if kind not in ("Exception", "ValueError") else ""
-        sys.exit(f"{named}{error}")
-    Path(made).write_bytes(pickle.dumps(mesh))
-
-
-if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    It lies alone in its folder, since gmsh runs what lies beside a file, mesh.msh.opt.
+    """
+    suffix, content = given
+    path = f"mesh{suffix}"
+    Path(path).write_bytes(content)
+    if suffix == ".med":
+        return meshio.read(path, file_format="med")
+    return read_msh(path, content) if suffix == ".msh" else read_vtk(path, content)

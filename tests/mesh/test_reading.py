@@ -67,20 +67,20 @@ def test_round_trip(tmp_path, name, order, capfd):
     [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("um", 1e-6), ("inch", 0.0254)],
 )
 def test_length_units(tmp_path, unit, metres):
-    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".vtu")
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".inp")
     points = read_mesh(path, length_unit="m").points
     large = meshio.Mesh(points / metres, [("tetra", BEAM.tets)])
-    path = _write(tmp_path, large, ".vtu")
+    path = _write(tmp_path, large, ".inp")
     read = read_mesh(path, length_unit=unit)
     np.testing.assert_allclose(read.points, BEAM.points, rtol=1e-14)
 
 
 def test_order_is_converted(tmp_path):
-    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".vtu")
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".inp")
     quadratic = read_mesh(path, length_unit="m", order=2)
     assert quadratic.order == 2
     raw = meshio.Mesh(quadratic.points, [("tetra10", quadratic.tets)])
-    path = _write(tmp_path, raw, ".vtu")
+    path = _write(tmp_path, raw, ".inp")
     linear = read_mesh(path, length_unit="m", order=1)
     np.testing.assert_array_equal(linear.tets, BEAM.tets)
     assert read_mesh(path, length_unit="m", order=2).n_nodes == quadratic.n_nodes
@@ -307,7 +307,7 @@ def test_values_of_tets_go_by_the_numbers_of_elements(gmsh, tmp_path):
 
 def _without_gmsh(path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gmsh", None)
-    return _program.read_msh(str(path))
+    return _program.read_msh(str(path), path.read_bytes())
 
 
 def test_without_gmsh_what_meshio_reads_wrong_is_refused(tmp_path, monkeypatch):

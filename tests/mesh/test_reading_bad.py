@@ -8,9 +8,10 @@ import softcal_jax as sc
 from softcal_jax.mesh import beam, read_mesh
 
 BEAM = beam(0.1, 0.02, 0.03, (3, 2, 1))
+TEXT, BYTES = b"this is no mesh\n" * 9, bytes(range(256)) * 9
 
 
-def _write(tmp_path, points, cells, suffix=".vtu", **options):
+def _write(tmp_path, points, cells, suffix=".inp", **options):
     path = tmp_path / f"bad{suffix}"
     meshio.Mesh(points, cells).write(path, **options)
     return path
@@ -34,9 +35,16 @@ def test_extension(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"this is no mesh\n" * 9, bytes(range(256)) * 9]
+    ("suffix", "content"),
+    [
+        *((".inp", content) for content in (b"", TEXT, BYTES)),
+        *((".msh", content) for content in (b"", TEXT, BYTES)),
+        (".vtu", b""),
+        (".vtu", BYTES),
+        (".vtk", TEXT),
+        (".med", TEXT),
+    ],
 )
-@pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk", ".inp", ".med"])
 def test_garbage(tmp_path, suffix, content, capfd):
     path = tmp_path / f"garbage{suffix}"
     path.write_bytes(content)
@@ -47,20 +55,19 @@ def test_garbage(tmp_path, suffix, content, capfd):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "options"),
+    ("suffix", "part", "options"),
     [
-        (".msh", {"file_format": "gmsh22", "binary": False}),
-        (".msh", {"file_format": "gmsh22", "binary": True}),
-        (".msh", {"file_format": "gmsh", "binary": False}),
-        (".msh", {"file_format": "gmsh", "binary": True}),
-        (".vtu", {}),
-        (".vtk", {}),
-        (".vtk", {"file_format": "vtk42"}),
-        (".inp", {}),
+        (".msh", 0.3, {"file_format": "gmsh22", "binary": False}),
+        (".msh", 0.9, {"file_format": "gmsh22", "binary": True}),
+        (".msh", 0.6, {"file_format": "gmsh", "binary": False}),
+        (".msh", 0.9, {"file_format": "gmsh", "binary": True}),
+        (".vtu", 0.6, {}),
+        (".vtk", 0.9, {}),
+        (".vtk", 0.3, {"file_format": "vtk42"}),
+        *((".inp", part, {}) for part in (0.3, 0.6, 0.9)),
     ],
 )
-@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
-def test_truncated(tmp_path, suffix, options, part, capfd):
+def test_truncated(tmp_path, suffix, part, options, capfd):
     path = _write(tmp_path, BEAM.points, [("tetra", BEAM.tets)], suffix, **options)
     content = path.read_bytes()
     path.write_bytes(content[: int(part * len(content))])
@@ -188,12 +195,12 @@ TET_INP = """*NODE
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{}*NODE\n1, 0., 0., 1.\n", "node 1 .*two parts"),
+        ("{}*NODE\n1, 0., 0., 1.\n", "1 is defined twice"),
         ("*PART, NAME=A\n{}*PART, NAME=B\n", r"\*PART.*flat"),
         ("{}*INSTANCE, PART=A\n*INSTANCE, PART=A\n", r"\*INSTANCE.*flat"),
         ("{}*INSTANCE, PART=A\n0., 5., 0.\n", r"\*INSTANCE.*flat"),
         ("{}*NGEN\n1, 4\n", r"\*NGEN.*flat"),
-        ("{}*NSET, NSET=A\n1\n*ASSEMBLY\n*NSET, NSET=a\n2\n", "set A too.*rename"),
+        ("{}*NSET, NSET=A\n1\n*ASSEMBLY\n*NSET, NSET=a\n2\n", "a is a set .*rename"),
         ("{}*NSET, NSET=A\nB\n", r"\*NSET.*'B'"),
         ("{}*NSET, NSET=A\n9\n", "node 9"),
         ("{}*ELSET, ELSET=A\n9\n", "element 9"),
@@ -213,6 +220,6 @@ def test_abaqus_files_that_would_be_read_wrong(tmp_path, text, message):
 def test_node_that_is_not_there(tmp_path):
     tets = BEAM.tets.copy()
     tets[0, 0] = 24
-    path = _write(tmp_path, BEAM.points, [("tetra", tets)])
+    path = _write(tmp_path, BEAM.points, [("tetra", tets)], ".vtu")
     with pytest.raises(ValueError, match=r"tetra cell .*not there"):
         read_mesh(path, length_unit="m")

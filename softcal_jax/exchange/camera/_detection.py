@@ -7,6 +7,7 @@ length, and each corner is where two of them meet.
 
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,7 +43,7 @@ class Photo(NamedTuple):
     corners: Mapping[int, Float[HostArray, "4 2"]]
 
 
-@once
+@partial(once, most=100)
 def read_photo(path: Path) -> Photo:
     """Find the tags on a photograph, which may be any file that OpenCV reads.
 
