@@ -15,21 +15,23 @@ import threading
 from pathlib import Path
 from typing import Any
 
-OUT_OF_MEMORY = re.compile(
+_OUT_OF_MEMORY = re.compile(
     "MemoryError|bad_alloc|alloc failed|out of memory|failed to map segment", re.I
 )
 """How programs say that they get no more memory."""
+
+_KEPT = (ImportError, MemoryError, OverflowError, ValueError)  # errors raised as such
 
 
 def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
     """Return what `main(given)` of a program returns, and what it printed of errors.
 
-    Both are pickled. The folder in which it works is its own.
+    The folder in which it works is its own.
 
     Raises:
         subprocess.TimeoutExpired: If it takes longer.
         MemoryError: If it needs more memory than this, or than there is.
-        RuntimeError: If it raises an error or crashes; the text says which.
+        RuntimeError: If it crashes, or raises anything but a few errors of Python.
     """
     with tempfile.TemporaryDirectory() as folder:
         given_at, made_at = Path(folder, "given"), Path(folder, "made")
@@ -42,39 +44,37 @@ def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
             capture_output=True,
             errors="replace",
         )
-        said = done.stderr.strip()
-        if done.returncode == 0:
-            return pickle.loads(made_at.read_bytes()), said
+        said, code = done.stderr.strip(), done.returncode
+        if code:
+            last = (said.splitlines() or ["it does not say why"])[-1]
+            crash = f"it crashed ({signal.strsignal(-code)})" if code < 0 else last
+            made: Any = RuntimeError(crash)
+        else:
+            made = pickle.loads(made_at.read_bytes())
+    if not isinstance(made, Exception):
+        return made, said
     # By SIGKILL Linux ends a process when memory runs out.
-    if OUT_OF_MEMORY.search(said) or done.returncode == -9:
-        raise MemoryError("out of memory")
-    if done.returncode < 0:
-        raise RuntimeError(f"it crashed ({signal.strsignal(-done.returncode)})")
-    raise RuntimeError((said.splitlines() or ["it does not say why"])[-1])
-
-
-def _limit_memory(megabytes: float) -> None:
-    """Let this process take no more memory, where the system can see to it."""
-    if sys.platform != "linux" or megabytes == float("inf"):
-        return
-    import resource
-
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = int(1e6 * megabytes)
-    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    if code == -9 or _OUT_OF_MEMORY.search(f"{made!r} {said}"):
+        raise MemoryError("out of memory") from made
+    raise made
 
 
 def _main(program: str, given_at: str, made_at: str, megabytes: str) -> None:
-    _limit_memory(float(megabytes))
+    if sys.platform == "linux" and megabytes != "inf":
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = int(1e6 * float(megabytes))
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     try:
-        made = runpy.run_path(program)["main"](
-            pickle.loads(Path(given_at).read_bytes())
-        )
+        given = pickle.loads(Path(given_at).read_bytes())
+        made = runpy.run_path(program)["main"](given)
     except Exception as error:  # libraries raise any
         kind = type(error).__name__
-        named = f"{kind}: " if kind not in ("Exception", "ValueError") else ""
-        sys.exit(" ".join(f"{named}{error}".split()))
+        named = "" if kind in ("Exception", "RuntimeError") else f"{kind}: "
+        text = " ".join(f"{named}{error}".split())
+        made = error if type(error) in _KEPT else RuntimeError(text)
     Path(made_at).write_bytes(pickle.dumps(made))
 
 

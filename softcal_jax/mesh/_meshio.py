@@ -51,7 +51,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         raw, said = _by_library(suffix, path.read_bytes())
     except LimitError:
         raise
-    except (ValueError, MemoryError, RuntimeError, TimeoutExpired) as error:
+    except (ValueError, RuntimeError, MemoryError, TimeoutExpired) as error:
         what = f"mesh file {path} cannot be read as {suffix}"
         raise ValueError(f"{what}: {escaped(str(error))}") from error
     if said:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax import mesh as meshes
-from softcal_jax._apart import OUT_OF_MEMORY, run_apart
+from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file, digest_of
 from softcal_jax._limits import (
     MESHING_MEGABYTES,
@@ -41,8 +41,8 @@ PROGRAM = Path(__file__).with_name("_program.py")
 _LOST = 0.02  # share of the volume that flat faces may cut off without a warning [-]
 
 
-class GmshError(ValueError):
-    """Gmsh does not fill a model, or its surface is open; the text is what it says."""
+class FillingError(ValueError):
+    """A program does not fill a model; the text is what it says."""
 
 
 class Filled(NamedTuple):
@@ -118,7 +118,7 @@ def mesh_cad(
         mesh = _named(filled, metres)
         meshes.check_mesh(mesh)
     except (ValueError, ImportError) as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise type(error)(f"{path}: {escaped(str(error))}") from error
     share = meshes.volumes(mesh).sum() / (filled.volume * metres**3) - 1.0
     if abs(share) > _LOST:
         notes.append(
@@ -173,7 +173,7 @@ def _filled(
             surface, turned = turned_outwards(read_stl(path))
             notes += turned
             if n := int((meshes.sides_of(surface.triangles).counts != 2).sum()):
-                raise GmshError(f"it is open: {n} edges do not join two triangles.")
+                raise FillingError(f"it is open: {n} edges do not join two triangles.")
             filled = fill("gmsh, STL", surface.given, size)
         # FTetWild would make one solid of several.
         if not filled.n_flat or len(filled.solids) > 1:
@@ -182,9 +182,14 @@ def _filled(
         if surface is None:
             model = Triangles(filled.points, np.concatenate(faces))
             surface, _ = turned_outwards(model)
-    except GmshError as error:
-        if surface is None:
-            raise
+    except FillingError as error:
+        if surface is None:  # where no memory is left, some parts of gmsh crash
+            raise ValueError(
+                f"{error} The file seems to be damaged, or its surfaces cross: open it "
+                "in a CAD program, mend it, and export it again. If it is sound, it "
+                f"may need more memory than the limit of {MESHING_MEGABYTES.most:g} MB,"
+                f" which the environment variable {MESHING_MEGABYTES.variable} raises."
+            ) from error
         said = str(error)
     said = f"gmsh cannot fill this surface: {said}"
     try:
@@ -274,49 +279,25 @@ def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
         )
     given = {"by": by, "size": size, **given, "sharp": meshes.SHARP, "most": TETS.most}
     seconds, megabytes = MESHING_SECONDS.most, MESHING_MEGABYTES.most
+    name = "fTetWild" if by == "pytetwild" else "gmsh"
     try:
         made, _ = run_apart(PROGRAM, given, seconds=seconds, megabytes=megabytes)
+    except OverflowError as error:
+        raise TETS.error(*error.args) from error
     except TimeoutExpired as error:
-        raise _at_limit(by, "has not filled it within", MESHING_SECONDS) from error
-    except (MemoryError, RuntimeError) as error:
-        made = {"reason": "ended", "text": str(error)}
-    if "reason" in made:
-        raise _refusal(by, **made)
+        what = f"{name} has not filled it within"
+        raise _at_limit(what, MESHING_SECONDS) from error
+    except MemoryError as error:
+        what = f"{name} needs more memory than there is, or than"
+        raise _at_limit(what, MESHING_MEGABYTES) from error
+    except RuntimeError as error:
+        raise FillingError(f"{name} fails: {str(error).rstrip('.')}.") from error
     return Filled(**made)
 
 
-def _at_limit(by: str, what: str, limit: Limit) -> LimitError:
-    name = "fTetWild" if by == "pytetwild" else "gmsh"
+def _at_limit(what: str, limit: Limit) -> LimitError:
     return LimitError(
-        f"{name} {what} the limit of {limit.most:g} {limit.unit}, as happens where a "
-        "model is damaged. Export it again, take larger tets, or raise the limit with "
-        f"the environment variable {limit.variable}."
+        f"{what} the limit of {limit.most:g} {limit.unit}, as happens where a model is "
+        "damaged. Export it again, take larger tets, or raise the limit with the "
+        f"environment variable {limit.variable}."
     )
-
-
-def _refusal(
-    by: str, reason: str, text: str, number: float = math.nan
-) -> ValueError | ImportError:
-    """Return the error of a reason for which nothing was made."""
-    text = escaped(text)
-    if OUT_OF_MEMORY.search(text):
-        what = "needs more memory than there is, or than"
-        return _at_limit(by, what, MESHING_MEGABYTES)
-    if reason == "tets":
-        return TETS.error(text, number)
-    if reason == "import":
-        return ImportError(
-            f"gmsh is installed, but cannot be loaded ({text}). On Debian or Ubuntu: "
-            "sudo apt install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1"
-        )
-    if by == "pytetwild":
-        fails = "fTetWild fails: " if reason == "ended" else ""
-        return ValueError(f"gmsh cannot fill this surface, and {fails}{text}.")
-    if reason == "ended":  # where no memory is left, some parts of gmsh crash
-        return GmshError(
-            f"gmsh fails: {text}. The file seems to be damaged, or its surfaces cross: "
-            "open it in a CAD program, mend it, and export it again. If it is sound, "
-            f"it may need more memory than the limit of {MESHING_MEGABYTES.most:g} MB, "
-            f"which the environment variable {MESHING_MEGABYTES.variable} raises."
-        )
-    return GmshError(text) if reason == "gmsh" else ValueError(text)

@@ -1,7 +1,7 @@
 """Fills a CAD model with tets, in a process of its own: `main`, run by `_apart`.
 
-Damaged models crash gmsh, or it meshes them for ever. What is given and made, or why
-nothing is made, are dictionaries; see `exchange.cad._mesh`.
+Damaged models crash gmsh, or it meshes them for ever. What is given and made are
+dictionaries; see `exchange.cad._mesh`.
 """
 
 from math import sqrt
@@ -34,14 +34,6 @@ _SLIVER = 1e-4  # the same below which it is mended, for such tets invert easily
 _NARROW = 1e-3  # edges of it that shrink to a node, over the size
 
 
-class RefusedError(Exception):
-    """No mesh is made; `reason` says of what kind the text is."""
-
-    def __init__(self, reason: str, text: str, **number: float):
-        super().__init__(text)
-        self.made = {"reason": reason, "text": text, **number}
-
-
 def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     """Fill the solids of a STEP file; the size and the result are in mm."""
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
@@ -50,8 +42,7 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     shape.synchronize()
     solids = gmsh.model.getEntities(3)
     if not solids:
-        raise RefusedError(
-            "model",
+        raise ValueError(
             "it has no solid, only surfaces or curves, and what lies inside them is not"
             " known. Export the body as a solid.",
         )
@@ -102,7 +93,7 @@ def fill_wild(given: Any) -> dict[str, Any]:
         quiet=True,
     )
     if not len(tets):
-        raise RefusedError("model", "fTetWild makes no tets of it")
+        raise RuntimeError("it makes no tets")
     used, tets = np.unique(tets, return_inverse=True)
     return {"points": np.asarray(points, float)[used], "tets": tets.reshape(-1, 4)}
 
@@ -120,9 +111,9 @@ def _size(given: Any, points: Any) -> float:
     number = np.ceil(max(given["volume"] / (_REGULAR * size**3), thin))
     if number > given["most"]:
         what = f"edges of {size:g} are too short for a model {across:.3g} across"
-        raise RefusedError("tets", what, number=number)
+        raise OverflowError(what, number)
     if across > _FAR:
-        raise RefusedError("model", f"it is {across:.3g} across: check its unit.")
+        raise ValueError(f"it is {across:.3g} across: check its unit.")
     return size
 
 
@@ -137,7 +128,7 @@ def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
     volumes = [tag for _, tag in gmsh.model.getEntities(3)]
     by_solid = [nodes_of(_TET, tag).astype(int).reshape(-1, 4) for tag in volumes]
     if not sum(map(len, by_solid)):
-        raise RefusedError("gmsh", "it made no tets.")
+        raise RuntimeError("it makes no tets")
     outer = [
         tag
         for _, tag in gmsh.model.getEntities(2)
@@ -184,29 +175,18 @@ def _mended(places: Any, cells: list[Any], narrow: float) -> list[Any]:
     return [cell[(np.diff(np.sort(cell)) > 0).all(axis=1)] for cell in cells]
 
 
-def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:
-    """Fill with gmsh, silently; one thread makes the same mesh each time."""
+def main(given: Any) -> dict[str, Any]:
+    """Fill what is given; one thread makes the same mesh each time."""
+    if given["by"] == "pytetwild":
+        return fill_wild(given)
     try:
         import gmsh  # pyright: ignore[reportMissingImports]
     except OSError as error:
-        raise RefusedError("import", str(error)) from error
+        raise ImportError(
+            f"gmsh is installed, but cannot be loaded ({error}). On Debian or Ubuntu: "
+            "sudo apt install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1"
+        ) from error
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.NumThreads", 1)
-    try:
-        return fill(gmsh, given)
-    except (RefusedError, MemoryError):
-        raise
-    except Exception as error:  # gmsh raises this class itself
-        said = " ".join(str(error).split()) or "it does not say why"
-        raise RefusedError("gmsh", f"{said}.") from error
-
-
-def main(given: Any) -> dict[str, Any]:
-    """Fill what is given; return its tets, or a reason."""
-    try:
-        if given["by"] == "pytetwild":
-            return fill_wild(given)
-        return _by_gmsh(fill_step if "path" in given else fill_surface, given)
-    except RefusedError as error:
-        return error.made
+    return (fill_step if "path" in given else fill_surface)(gmsh, given)
