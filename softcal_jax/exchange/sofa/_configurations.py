@@ -181,6 +181,14 @@ def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
     """
     guides = list(formats.cable_guides(model, owner))
     grounded = np.array([not weights.any() for _, weights in guides])
+    for _, weights in guides:
+        nodes = np.flatnonzero(weights)
+        if np.isin(model.mesh.tets, nodes).sum(axis=1).max() < len(nodes):
+            raise ValueError(
+                f"the cable {model.mechanism.actuators.names[owner]!r} has a guide in a "
+                "channel, which follows the ring of wall around it; SOFA ties a point to "
+                "one tet. Put the guide on the wall."
+            )
     if grounded.sum() > 1 or grounded[1:-1].any():
         raise ValueError(
             f"the cable {model.mechanism.actuators.names[owner]!r} has more than one "

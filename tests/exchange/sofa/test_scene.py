@@ -177,6 +177,16 @@ def test_imposed_lengths_and_volumes():
     assert cavity["value type"] == "volumeGrowth"
 
 
+def test_a_guide_in_a_channel_is_refused():
+    """SOFA would tie it to the nearest tet."""
+    mesh = hollow_beam()
+    middle = mesh.points[mesh.nodes("cavity")].mean(axis=0)
+    cable = sc.Cable("rope", [(0.0, 0.01, 0.02), tuple(middle)])
+    pulled = {"rope": sc.ImposedForce(1.0)}
+    with pytest.raises(ValueError, match=r"'rope' .*channel.*one tet"):
+        written(sc.Configuration("pulled", "x_min", actuation=pulled), cable)
+
+
 def test_a_sealed_chamber_is_its_wall_where_its_rim_is_held():
     mesh = hollow_beam()
     rim, *wall = mesh.surface_groups["cavity"]
