@@ -29,7 +29,7 @@ def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
     The folder in which it works is its own.
 
     Raises:
-        subprocess.TimeoutExpired: If it takes longer.
+        TimeoutError: If it takes longer.
         MemoryError: If it needs more memory than this, or than there is.
         RuntimeError: If it crashes, or raises anything but a few errors of Python.
     """
@@ -37,13 +37,16 @@ def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
         given_at, made_at = Path(folder, "given"), Path(folder, "made")
         given_at.write_bytes(pickle.dumps(given))
         options = ["-P", "-W", "ignore", __file__]  # -P: modules beside it shadow none
-        done = subprocess.run(
-            [sys.executable, *options, program, given_at, made_at, str(megabytes)],
-            timeout=min(seconds, threading.TIMEOUT_MAX),
-            cwd=folder,
-            capture_output=True,
-            errors="replace",
-        )
+        try:
+            done = subprocess.run(
+                [sys.executable, *options, program, given_at, made_at, str(megabytes)],
+                timeout=min(seconds, threading.TIMEOUT_MAX),
+                cwd=folder,
+                capture_output=True,
+                errors="replace",
+            )
+        except subprocess.TimeoutExpired as error:
+            raise TimeoutError(f"it takes longer than {seconds:g} s") from error
         said, code = done.stderr.strip(), done.returncode
         if code:
             last = (said.splitlines() or ["it does not say why"])[-1]
@@ -55,7 +58,7 @@ def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
         return made, said
     # By SIGKILL Linux ends a process when memory runs out.
     if code == -9 or _OUT_OF_MEMORY.search(f"{made!r} {said}"):
-        raise MemoryError("out of memory") from made
+        raise MemoryError(f"it needs more than {megabytes:g} MB of memory") from made
     raise made
 
 

@@ -149,9 +149,9 @@ class Cable(AbstractActuator):
                 carried = np.zeros(0, np.int32), np.zeros(0)
             elif guide.on == "mesh":
                 place = locate(rest.mesh, points[[i]], max_distance=np.inf)
-                carried = place.nodes[0], place.weights[0]
                 ring = place.distance[0] > near and ring_around(rest.mesh, points[i])
-                carried, beside = ring or carried, beside + [i] * (ring is None)
+                carried = ring or (place.nodes[0], place.weights[0])
+                beside += [i] * (ring is None)
             else:
                 known = ["mesh", "ground", *rest.bodies]
                 check_known(f"carrier of {names[i]}", known, guide.on)

@@ -205,9 +205,9 @@ def bad_input(*others: type[Exception]) -> Iterator[None]:
 
 
 def refusal(error: Exception) -> Stop:
-    """Make the message of an error; that of the system has a number and any path."""
+    """Make the message of an error; that of the system has a number and a path."""
     text = str(error)
-    if isinstance(error, OSError) and error.errno is not None:
+    if isinstance(error, OSError) and error.filename is not None:
         text = f"{error.filename}: {cause(error)}; give another one."
     return Stop(BAD_INPUT, f"error: {with_short_names(text)}")
 

@@ -148,7 +148,7 @@ def _partial_folder(directory: Path, *, force: bool) -> Iterator[tuple[Path, Pat
                 parent.mkdir()
                 made.callback(_remove_empty, parent)
         lock, busy = _lock(directory), f"another process writes to {directory}"
-        made.enter_context(locked(lock, f"{busy}: wait until it has, or {_REMEDY}."))
+        made.enter_context(locked(lock, f"{busy}: wait for its end, or {_REMEDY}."))
         partial = lock.with_suffix(".partial")
         if _written(partial):
             _move_into_place(partial, directory)

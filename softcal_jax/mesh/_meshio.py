@@ -7,7 +7,6 @@ raise a `ValueError` that names the file; Abaqus files are read here.
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from subprocess import TimeoutExpired
 from typing import Any, NamedTuple
 
 import meshio
@@ -51,7 +50,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         raw, said = _by_library(suffix, path.read_bytes())
     except LimitError:
         raise
-    except (ValueError, RuntimeError, MemoryError, TimeoutExpired) as error:
+    except (ValueError, RuntimeError, MemoryError, TimeoutError) as error:
         what = f"mesh file {path} cannot be read as {suffix}"
         raise ValueError(f"{what}: {escaped(str(error))}") from error
     if said:

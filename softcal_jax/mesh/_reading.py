@@ -218,12 +218,10 @@ def _with_groups(
             if raw.cells[k].type in _GROUP_CELLS
         }
         cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
-        nodes = np.unique(
-            np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])
-        )
+        nodes = np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])
         if name in groups.points:  # also where a set of elements is called the same
-            nodes = np.unique(index[groups.points[name]])
-        nodes = nodes[nodes >= 0]
+            nodes = index[groups.points[name]]
+        nodes = np.unique(nodes[nodes >= 0])
         if not nodes.size:
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
             continue

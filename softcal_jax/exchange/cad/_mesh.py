@@ -10,7 +10,6 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from subprocess import TimeoutExpired
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -284,7 +283,7 @@ def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
         made, _ = run_apart(PROGRAM, given, seconds=seconds, megabytes=megabytes)
     except OverflowError as error:
         raise TETS.error(*error.args) from error
-    except TimeoutExpired as error:
+    except TimeoutError as error:
         what = f"{name} has not filled it within"
         raise _at_limit(what, MESHING_SECONDS) from error
     except MemoryError as error:

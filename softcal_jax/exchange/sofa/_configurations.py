@@ -180,20 +180,20 @@ def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
     points from there.
     """
     guides = list(formats.cable_guides(model, owner))
-    grounded = np.array([not weights.any() for _, weights in guides])
+    cable = f"the cable {model.mechanism.actuators.names[owner]!r}"
     for _, weights in guides:
         nodes = np.flatnonzero(weights)
         if np.isin(model.mesh.tets, nodes).sum(axis=1).max() < len(nodes):
             raise ValueError(
-                f"the cable {model.mechanism.actuators.names[owner]!r} has a guide in a "
-                "channel, which follows the ring of wall around it; SOFA ties a point to "
-                "one tet. Put the guide on the wall."
+                f"{cable} has a guide in a channel, which follows the ring of wall "
+                "around it; SOFA ties a point to one tet. Put the guide on the wall."
             )
+    grounded = np.array([not weights.any() for _, weights in guides])
     if grounded.sum() > 1 or grounded[1:-1].any():
         raise ValueError(
-            f"the cable {model.mechanism.actuators.names[owner]!r} has more than one "
-            "guide on the ground, or one between its ends; SOFA's CableConstraint "
-            "knows one fixed point, at an end. Put the other guides on the body."
+            f"{cable} has more than one guide on the ground, or one between its ends; "
+            "SOFA's CableConstraint knows one fixed point, at an end. Put the other "
+            "guides on the body."
         )
     points = [(scale.length * point).tolist() for point, _ in guides]
     if grounded[-1]:
