@@ -32,6 +32,7 @@ _FLAT = 1e-6
 
 _SLIVER = 1e-4  # the same below which it is mended, for such tets invert easily
 _NARROW = 1e-3  # edges of it that shrink to a node, over the size
+_SHARES = (1.0, 0.8, 0.64)  # of the size, tried until no tet is flat
 
 
 def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
@@ -55,7 +56,13 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     )
     given |= {"area": area, "volume": volume}
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    return _filled(gmsh, volume, _size(given, low_high))
+    size = _size(given, low_high)
+    for share in _SHARES:
+        gmsh.model.mesh.clear()
+        made = _filled(gmsh, volume, share * size)
+        if not made["n_flat"]:
+            break
+    return made
 
 
 def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:

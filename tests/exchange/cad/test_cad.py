@@ -242,6 +242,21 @@ def test_sliver_faces_are_merged_into_others(strip, step, join):
     assert areas == pytest.approx(2 * (box(40, 10) + box(40, 5) + box(10, 5)), rel=1e-4)
 
 
+def test_flat_tets_are_meshed_again_with_a_smaller_size(tmp_path):
+    """Nodes on the two long sides of a sliver, of a low roof, are no pairs at first."""
+    with modelled(tmp_path / "roof.step") as shape:
+        corners = (0, 0), (10, 0), (10, 5), (5, 5 + 3e-6), (0, 5)
+        points = [shape.addPoint(50, y, z) for y, z in corners]
+        ends = zip(points, points[1:] + points[:1], strict=True)
+        loop = shape.addCurveLoop([shape.addLine(*pair) for pair in ends])
+        shape.extrude([(2, shape.addPlaneSurface([loop]))], 50, 0, 0)
+        shape.addBox(0, 0, 0, 50, 10, 5)
+        shape.fuse([(3, 1)], [(3, 2)])
+    mesh = mesh_cad(tmp_path / "roof.step", size=4 * MM, order=1)
+    assert len(mesh.surface_groups) == 8
+    assert volumes(mesh).sum() == pytest.approx(box(100, 10, 5), rel=1e-6)
+
+
 def test_flat_tets_that_stay_are_left_to_ftetwild(strip, tmp_path, monkeypatch):
     """Faces keep their numbers; of several solids it would make one."""
     pytest.importorskip("pytetwild")
