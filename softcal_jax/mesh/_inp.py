@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -32,7 +33,7 @@ _RULES = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"}
 """Keywords that make or move nodes and elements."""
 
 Rows = list[list[str]]
-Item = tuple[str, list[float] | list[int]]
+Items = Iterable[tuple[int, tuple[str, Any]]]
 
 
 def included_files(path: Path) -> list[Path]:
@@ -110,7 +111,7 @@ class _Model:
     """
 
     def __init__(self):
-        self.items: dict[str, dict[int, Item]] = {"NSET": {}, "ELSET": {}}
+        self.items: dict[str, dict[int, tuple[str, Any]]] = {"NSET": {}, "ELSET": {}}
         self.sets: dict[str, dict[str, set[int]]] = {"NSET": {}, "ELSET": {}}
         self.written: dict[str, str] = {}  # names as the file has them first
         self.origins: dict[tuple[str, str], tuple[str, int]] = {}
@@ -128,36 +129,33 @@ class _Model:
         if keyword == "NODE":
             place = lambda x: [float(value or 0) for value in (*x, "", "", "")[:3]]
             nodes = [(int(number), ("point", place(x))) for number, *x in rows]
-            self._define("NSET", nodes, options.get("NSET"))
+            self._extend("NSET", options.get("NSET"), self._put("NSET", nodes))
         elif keyword == "ELEMENT":
             elements = _elements(options["TYPE"].upper(), _integers(rows))
-            self._define("ELSET", elements, options.get("ELSET"))
+            self._extend("ELSET", options.get("ELSET"), self._put("ELSET", elements))
         elif keyword in ("NSET", "ELSET"):
-            self._extend(
-                keyword, options[keyword], self._members(keyword, options, rows)
-            )
+            members = self._members(keyword, options, rows)
+            self._extend(keyword, options[keyword], members)
         elif keyword == "SURFACE" and options.get("TYPE", "").upper() == "NODE":
             nodes = [self._of("NSET", row[0]) for row in rows]
             self._extend("NSET", options["NAME"], set().union(*nodes), "surface")
         elif keyword == "SURFACE":
-            self._define("ELSET", self._faces(rows), options["NAME"], "surface")
+            faces = self._put("ELSET", self._faces(rows))
+            self._extend("ELSET", options["NAME"], faces, "surface")
 
-    def _define(
-        self,
-        kind: str,
-        items: Iterable[tuple[int, Item]],
-        name: str | None,
-        by: str = "",
-    ) -> None:
-        known, members = self.items[kind], set()
+    def _put(self, kind: str, items: Items) -> set[int]:
+        known, numbers = self.items[kind], set()
         for number, item in items:
-            members.add(number)
+            numbers.add(number)
             if known.setdefault(number, item) != item:
                 raise ValueError(f"{number} is defined twice, as in two parts")
-        if name is not None:
-            self._extend(kind, name, members, by)
+        return numbers
 
-    def _extend(self, kind: str, name: str, members: set[int], by: str = "") -> None:
+    def _extend(
+        self, kind: str, name: str | None, members: set[int], by: str = ""
+    ) -> None:
+        if name is None:
+            return
         key, origin = name.upper(), (by, self.parts["ASSEMBLY"])
         if self.origins.setdefault((kind, key), origin) != origin:
             raise ValueError(
@@ -183,7 +181,7 @@ class _Model:
                 members.update(self.items["ELSET"][element][1])
         return members
 
-    def _faces(self, rows: Rows) -> Iterator[tuple[int, Item]]:
+    def _faces(self, rows: Rows) -> Items:
         for of, *labels in rows:
             label = "".join(labels[:1]).upper()
             for element in sorted(self._of("ELSET", of)):
@@ -193,12 +191,9 @@ class _Model:
                         f"the row {', '.join([of, *labels])} stands for a {kind}; "
                         "expected a face S1 to S4 of tets"
                     )
-                face = LOCAL_FACES[len(nodes)][int(label[1]) - 1]
-                triangle = "triangle6" if len(face) == 6 else "triangle"
-                yield (
-                    -10 * element - int(label[1]),
-                    (triangle, [nodes[k] for k in face]),
-                )
+                face = [nodes[k] for k in LOCAL_FACES[len(nodes)][int(label[1]) - 1]]
+                kind = "triangle6" if len(face) == 6 else "triangle"
+                yield -10 * element - int(label[1]), (kind, face)
 
     def mesh(self) -> meshio.Mesh:
         """Return what was taken over; elements of one kind are one block."""
@@ -236,7 +231,7 @@ def _integers(rows: Rows) -> list[list[int]]:
     return [[int(cell) for cell in row if cell] for row in rows]
 
 
-def _elements(name: str, rows: list[list[int]]) -> Iterator[tuple[int, Item]]:
+def _elements(name: str, rows: list[list[int]]) -> Items:
     kind, n = next(k for start, k in _KINDS.items() if re.match(start, name))
     if n:  # an element may take several rows
         numbers = list(chain(*rows))

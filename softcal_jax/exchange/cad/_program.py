@@ -56,7 +56,7 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     )
     given |= {"area": area, "volume": volume}
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    size = _size(given, low_high)
+    size, made = _size(given, low_high), {}
     for share in _SHARES:
         gmsh.model.mesh.clear()
         made = _filled(gmsh, volume, share * size)
@@ -178,8 +178,9 @@ def _mended(places: Any, cells: list[Any], narrow: float) -> list[Any]:
     kept = np.arange(len(places))
     for a, b in ends[short]:
         kept[kept == kept[b]] = kept[a]
-    cells = [kept[cell] for cell in cells]
-    return [cell[(np.diff(np.sort(cell)) > 0).all(axis=1)] for cell in cells]
+    ordered = [np.sort(kept[cell], axis=1) for cell in cells]
+    whole = [(cell[:, 1:] != cell[:, :-1]).all(axis=1) for cell in ordered]
+    return [kept[cell[rows]] for cell, rows in zip(cells, whole, strict=True)]
 
 
 def main(given: Any) -> dict[str, Any]:
