@@ -277,7 +277,7 @@ def write_values(folder, **values):
         "parameters": [{"name": k, "value": v} for k, v in values.items()],
         "configurations": [],
         "solver": {},
-        "budget": {"covariance": []},
+        "budget": {"covariance": np.eye(len(values)).tolist()},
         "assessment": {"reasons": []},
         "versions": {},
     }

@@ -41,7 +41,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_solved(
     path = write_small_project(tmp_path)
     assert main([command, str(path), "-o", str(tmp_path / place)]) == 2
     errors = capsys.readouterr().err
-    assert says(errors, f"error: ... {tmp_path / place}")
+    assert says(errors, f"error: ... {tmp_path / place[:60]}")  # long names are cut
     assert errors.endswith("choose another folder.\n")
     assert left_behind(tmp_path) == set()
 

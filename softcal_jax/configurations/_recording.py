@@ -16,7 +16,7 @@ STEP = 0.05
 # Sarle's coefficient of bimodality from which a marker is in two places [-]: it is 1
 # for two points, 0.67 for an oscillation, 0.56 for a drift and 0.33 for noise.
 IN_TWO = 0.75
-ROUNDING = 1e-4  # scatter that may be rounding in a file [m]
+SMALL = 5e-4  # scatter that does not matter, half the usual std of a marker [m]
 WIDTH = 0.1  # width of the window around a single time [s]
 
 
@@ -210,7 +210,7 @@ class Recording(Module):
         along, v = np.einsum("fmx,mx->fm", off, axes[:, :, -1]), variances[:, -1]
         third, fourth = (np.sum(along**p, axis=0) / np.maximum(n, 1) for p in (3, 4))
         two = (n > 2) & (third**2 + v**3 > IN_TWO * fourth * v)
-        two &= v > np.square(np.maximum(NOISE * _noise(self.positions), ROUNDING))
+        two &= v > np.square(np.maximum(NOISE * _noise(self.positions), SMALL))
         return MarkerTable(
             names=self.names,
             positions=mean,
