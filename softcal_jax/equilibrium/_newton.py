@@ -107,8 +107,9 @@ class NewtonState(NamedTuple):
     """State of the loop.
 
     `ok` and `*_ok` belong to the last equilibrium on the load path. `strains` are
-    those of the Newton step; everything else, including the stopping rule, takes those
-    of u, and so does the first step at a load. `turned`: the last trial step inverted a
+    those of the Newton step, unless `exact`; everything else, including the stopping
+    rule, takes those of u, and so do the first step at a load and the one after held
+    bodies moved: along straight lines, these would crush what turns with them. `turned`: the last trial step inverted a
     tet. `stray` is the displacement at which the load was last cut. `probing`: the last
     attempt, see `_PROBE`.
     `lost` is the fewest negative eigenvalues of any unstable iterate at this load,
@@ -119,6 +120,7 @@ class NewtonState(NamedTuple):
 
     point: Point
     strains: Strains
+    exact: Bool[Array, ""]
     lambda_a: Float[Array, " n_a"]
     ok: Point
     lambda_ok: Float[Array, " n_a"]
@@ -188,7 +190,7 @@ class NewtonLoop:
     def step(self, s: NewtonState) -> NewtonState:
         """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
-        exact = strict | (s.residual.size <= SHARP) | (s.step_in_load == 0)
+        exact = strict | s.exact
         direction = newton_direction(
             posed,
             s.point,
@@ -232,8 +234,9 @@ class NewtonLoop:
         tried = _select(stay, tried._replace(point=s.point, lambda_a=s.lambda_a), tried)
         u, du = s.point.u, tried.point.u - s.point.u
         # Where the next step takes the strains of u, none are predicted.
+        exact_next = direction.moving | (residual.size <= SHARP)
         strains, sound = jax.lax.cond(
-            strict | (residual.size <= SHARP),
+            strict | exact_next,
             lambda: (s.strains, jnp.ones((), bool)),
             lambda: predict(self.model, u, du, s.strains, exact),
         )
@@ -244,6 +247,7 @@ class NewtonLoop:
             merit_before=self.remembered(before),
             residual=residual,
             strains=strains,
+            exact=exact_next,
         )
         settled = residual.settled(rtol)
         astray = settled & near & self.suspicious(s, tried.point.min_det_F)
@@ -289,6 +293,7 @@ class NewtonLoop:
             load_steps=s.load_steps + 1,
             lost=jnp.zeros_like(s.lost),
             limit=jnp.zeros_like(s.limit),
+            exact=jnp.ones((), bool),
             probing=jnp.zeros((), bool),
             result=RESULTS.where(finished, outcome, RESULTS.max_steps),
             done=finished,
@@ -318,6 +323,7 @@ class NewtonLoop:
         return s._replace(
             point=s.ok,
             stray=s.point.u,
+            exact=jnp.ones((), bool),
             lambda_a=s.lambda_ok,
             load=jnp.minimum(s.load_ok + increment, 1.0),
             increment=increment,
@@ -347,6 +353,7 @@ class NewtonLoop:
         return NewtonState(
             point=point,
             strains=no_strains(self.model),
+            exact=jnp.ones((), bool),
             lambda_a=lambda_a,
             ok=rest,
             lambda_ok=jnp.zeros_like(lambda_a),
