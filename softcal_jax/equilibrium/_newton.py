@@ -109,9 +109,9 @@ class NewtonState(NamedTuple):
     `ok` and `*_ok` belong to the last equilibrium on the load path. `strains` are
     those of the Newton step, unless `exact`; everything else, including the stopping
     rule, takes those of u, and so do the first step at a load and the one after held
-    bodies moved: along straight lines, these would crush what turns with them. `turned`: the last trial step inverted a
-    tet. `stray` is the displacement at which the load was last cut. `probing`: the last
-    attempt, see `_PROBE`.
+    bodies moved, since a chord would crush what turns with them. `turned`: the last
+    trial step inverted a tet. `stray` is the displacement at which the load was last
+    cut. `probing`: the last attempt, see `_PROBE`.
     `lost` is the fewest negative eigenvalues of any unstable iterate at this load,
     `limit` the fewest at loads that count as beyond a limit point; 0 if all are stable.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
