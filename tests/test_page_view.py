@@ -16,6 +16,7 @@ from benchmarks._compilations import Compilations
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import build_model, tet_states
 from softcal_jax.export import write_vtu
+from softcal_jax.fields import field_standard_errors
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import load_project
@@ -271,7 +272,8 @@ def test_writing_it_compiles_nothing_beside_the_bodies(tmp_path):
     """A page should not cost more than what is written anyway."""
     model = small_model(order=2)
     result = make_result(model=model, fits=fits_of(model))
-    errors = _write._field_errors(result)
+    estimate = result.space, result.z, result.budget.covariance
+    errors = field_standard_errors(model, *estimate)
     for fit in result.configurations:
         path = tmp_path / "body.vtu"
         write_vtu(path, model, fit.displacement, standard_errors=errors)

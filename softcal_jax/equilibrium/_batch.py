@@ -309,7 +309,8 @@ def _trouble(model: Model, state: NewtonState) -> str:
     if not 0.0 < float(state.increment) <= _CUT * (1.0 - float(state.load_ok)):
         return ""
     det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)
-    x, y, z = 1e3 * model.mesh.centroids[np.argmin(det)]
+    corners = np.asarray(model.mesh.tets)[np.argmin(det), :4]
+    x, y, z = 1e3 * np.asarray(model.mesh.points)[corners].mean(axis=0)
     return (
         f"load steps cut to {100.0 * float(state.increment):.2g} % (tets at "
         f"({x:.3g}, {y:.3g}, {z:.3g}) mm deform most)"

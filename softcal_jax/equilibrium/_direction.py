@@ -83,7 +83,7 @@ def newton_direction(
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
-    `strains`, and whether it is `exact` to take those of u: see `newton_system`.
+    `strains`, and whether it is `exact` to take those of u: see `newton_terms`.
     `placed`: held nodes and bodies are known to be in place. `near`: the tangent is
     near the last that was factorized. `tamed`: see `contact_stiffness`.
     """
