@@ -32,8 +32,10 @@ from softcal_jax.designs import design as design
 from softcal_jax.equilibrium import (
     build_model as build_model,
     lanes as lanes,
+    map_lanes as map_lanes,
     marker_positions as marker_positions,
     solve_equilibrium as solve_equilibrium,
+    use_cores as use_cores,
     with_points as with_points,
 )
 from softcal_jax.exchange.icesl import export_icesl as export_icesl

@@ -30,6 +30,10 @@ from softcal_jax.equilibrium._build_model import (
 from softcal_jax.equilibrium._continuation import (
     continue_equilibrium as continue_equilibrium,
 )
+from softcal_jax.equilibrium._devices import (
+    map_lanes as map_lanes,
+    use_cores as use_cores,
+)
 from softcal_jax.equilibrium._effectors import (
     actuator_forces as actuator_forces,
     effector_values as effector_values,

@@ -7,6 +7,7 @@ import ctypes
 import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -84,6 +85,10 @@ class AbstractLinearSolver(Module):
     def another(self, number: int) -> "AbstractLinearSolver":
         """Return a solver for a thread, with its own factors if this one keeps any."""
         del number
+        return self
+
+    def on_device(self, index: Int[Array, ""]) -> "AbstractLinearSolver":
+        """Return the solver for a device of JAX, like `another` for a thread."""
         return self
 
     def side_by_side(self) -> AbstractContextManager[None]:
@@ -191,7 +196,8 @@ class Pardiso(AbstractLinearSolver):
 
     `token` is the analysis, `work` what a factorization takes [million operations].
     `spare` uses nested dissection, because minimum degree can meet a zero pivot in a
-    regular, indefinite matrix; None if this solver uses it itself.
+    regular, indefinite matrix; None if this solver uses it itself. `devices` are those
+    of several devices of JAX, stacked.
     """
 
     sparsity: Sparsity
@@ -199,13 +205,19 @@ class Pardiso(AbstractLinearSolver):
     options: _Options = eqx.field(static=True)
     work: Int[Array | HostArray, ""]  # a static value compiles anew if it differs
     spare: "Pardiso | None" = None
+    devices: Any = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
     @classmethod
     def analyse(cls, sparsity):
-        degree = cls._of(sparsity, _MINIMUM_DEGREE, 0)
-        assert degree.spare is not None
-        return min((degree, degree.spare), key=lambda solver: solver.work)
+        nested = cls._of(sparsity, _NESTED, 0)
+        degree = replace(cls._of(sparsity, _MINIMUM_DEGREE, 0), spare=nested)
+        solver = min((degree, nested), key=lambda solver: solver.work)
+        if (n := jax.local_device_count()) == 1:
+            return solver
+        with solver.side_by_side():  # numbers below 0, since those of threads are above
+            each = [cls._of(sparsity, solver.options, -2 - k).token for k in range(n)]
+        return replace(solver, devices=jax.tree.map(lambda *ids: jnp.stack(ids), *each))
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
@@ -217,8 +229,7 @@ class Pardiso(AbstractLinearSolver):
             matrix_type=kind,
             options=dict(options),
         )
-        spare = None if options == _NESTED else cls._of(sparsity, _NESTED, number)
-        return cls(sparsity, token, options, np.asarray(report[_MFLOP]), spare)
+        return cls(sparsity, token, options, np.asarray(report[_MFLOP]))
 
     def _factor_solve(self, values, rhs):
         solved = self._factor_solve_once(values, rhs)
@@ -236,7 +247,14 @@ class Pardiso(AbstractLinearSolver):
         return x, negative_eigenvalues, perturbed_pivots == 0
 
     def another(self, number):
-        return self._of(self.sparsity, self.options, number)
+        token = self._of(self.sparsity, self.options, number).token
+        spare = None if self.spare is None else self.spare.another(number)
+        return replace(self, token=token, spare=spare)
+
+    def on_device(self, index):
+        if self.devices is None:
+            return self
+        return replace(self, token=jax.tree.map(lambda ids: ids[index], self.devices))
 
     @contextmanager
     def side_by_side(self):
