@@ -57,7 +57,7 @@ def map_lanes(
         function: Takes the model, one lane and the others; returns arrays.
         model: The model.
         lanes: Arrays with a leading axis, like `lanes(model, poses)`, moduli, or both.
-        *others: What all lanes share.
+        *others: What all lanes share; numbers are traced, but for int and bool.
 
     Returns:
         What the function returns, with a leading axis.
@@ -71,10 +71,10 @@ def map_lanes(
     # Programs that call the solver back on the host deadlock side by side.
     if jax.local_device_count() == 1 or not model.solver.runs_in_threads:
         return jax.vmap(lambda lane: function(model, lane, *others))(lanes)
-    results = _on_devices(function, model, lanes, others)
-    if any(map(is_traced, jax.tree.leaves(results))):
-        return results
-    return jax.device_put(jax.device_get(results))
+    as_array = lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf
+    results = _on_devices(function, model, lanes, jax.tree.map(as_array, others))
+    traced = any(map(is_traced, jax.tree.leaves(results)))
+    return results if traced else jax.device_put(jax.device_get(results))
 
 
 @eqx.filter_jit
@@ -86,7 +86,7 @@ def _on_devices(function, model, lanes, others):
     place = np.arange(n) % n_used * each + np.arange(n) // n_used
     lane_at = np.zeros(n_devices * each, int)
     lane_at[place] = np.arange(n)
-    arrays, rest = eqx.partition((model, others), eqx.is_array_like)
+    arrays, rest = eqx.partition((model, others), eqx.is_array)
 
     def share(arrays, lanes):
         (model, others), device = eqx.combine(arrays, rest), jax.lax.axis_index("lanes")

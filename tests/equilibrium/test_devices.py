@@ -72,6 +72,19 @@ if hasattr(model.solver, "token"):
     ids = sc.map_lanes(handle, model, jnp.arange(4))
     result["handles"] = [int(i) for i in (model.solver.token.id, *ids)]
 
+traces = []
+
+
+def power(model, lane, factor, exponent):
+    traces.append(exponent)
+    return factor * (lane**2 if exponent == 2 else lane)
+
+
+result["squares"] = sc.map_lanes(power, model, jnp.arange(3.0), 2.0, 2).tolist()
+n_traces = len(traces)
+sc.map_lanes(power, model, jnp.arange(3.0), 4.0, 2)
+result["traced_again"] = len(traces) - n_traces
+
 mapped = lambda E: sc.map_lanes(tips, model, batch, E)
 alone = lambda E: jax.vmap(lambda lane: tips(model, lane, E))(batch)
 E, weights = jnp.asarray(250e3), random.normal(size=(3, 3))
@@ -115,6 +128,12 @@ def test_each_device_has_factors_of_its_own(on_two, model):
     own, first, second, *others = on_two["handles"]
     assert len({own, first, second}) == 3
     assert others == [first, second]
+
+
+def test_numbers_are_arguments_of_one_program(on_two):
+    """All but integers, which the function may decide by."""
+    assert on_two["squares"] == [0.0, 2.0, 8.0]
+    assert on_two["traced_again"] == 0
 
 
 def test_equilibria_and_derivatives_are_those_of_vmap(on_two):
