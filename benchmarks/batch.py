@@ -178,12 +178,8 @@ def lane_seconds(
     def alone(model, lanes, z):
         return jax.vmap(lambda lane: shape(model, lane, z))(lanes)
 
-    # With a thread, as each device has it.
-    single = eqx.tree_at(
-        lambda m: m.solver, model, model.solver.on_device(jnp.zeros((), int))
-    )
     mapped = lambda lanes, z: map_lanes(shape, model, lanes, z)
-    apart = lambda lanes, z: alone(single, lanes, z)
+    apart = lambda lanes, z: alone(model, lanes, z)
     even = lanes, jnp.zeros((OF_TWO, model.n_points, 3))
     near = apart(even, z).at[:FROM_REST].set(0.0)
     uneven = lanes, near

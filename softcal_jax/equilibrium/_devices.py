@@ -19,7 +19,7 @@ def use_cores(n: int | None = None) -> int:
     """Let `map_lanes` solve lanes on several cores at a time.
 
     Programs call it before JAX computes anything; libraries do not. Each core becomes a
-    device of JAX, with a sparse solver in each model; all else runs on the first.
+    device of JAX, with a sparse solver of one thread; all else runs on the first.
 
     Args:
         n: Number of cores, which is returned; by default all that may be used.

@@ -160,9 +160,11 @@ def fix_threads(mkl: ctypes.CDLL) -> None:
     """Fix the number of threads of PARDISO at what it would take now.
 
     Otherwise `torch.set_num_threads` would change it, and PARDISO crashes where a
-    factorization has fewer threads than its analysis.
+    factorization has fewer threads than its analysis. With a device of JAX for each
+    core it is one: teams of threads on all devices would wait for each other.
     """
     n = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    n = n if jax.local_device_count("cpu") == 1 else 1
     mkl.MKL_Domain_Set_Num_Threads(n, _MKL_DOMAIN_PARDISO)
 
 
@@ -196,8 +198,7 @@ class Pardiso(AbstractLinearSolver):
 
     `token` is the analysis, `work` what a factorization takes [million operations].
     `spare` uses nested dissection, because minimum degree can meet a zero pivot in a
-    regular, indefinite matrix; None if this solver uses it itself. `devices` are those
-    of several devices of JAX, stacked.
+    regular, indefinite matrix; None if this one does. `devices` stacks their tokens.
     """
 
     sparsity: Sparsity
@@ -215,14 +216,13 @@ class Pardiso(AbstractLinearSolver):
         solver = min((degree, nested), key=lambda solver: solver.work)
         if (n := jax.local_device_count()) == 1:
             return solver
-        with solver.side_by_side():  # numbers below 0, since those of threads are above
-            each = [cls._of(sparsity, solver.options, -2 - k).token for k in range(n)]
+        each = [cls._of(sparsity, solver.options, -2 - k).token for k in range(n)]
         return replace(solver, devices=jax.tree.map(lambda *ids: jnp.stack(ids), *each))
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
         primitive, kind = _load_pardiso(sparsity)
-        # pardiso-mkl-jax tells analyses apart by their inputs.
+        # Inputs tell analyses apart: numbers of threads are above 0, of devices below.
         values = np.full(sparsity.nnz, 1.0 + number)
         token, report = primitive.analyze(
             *jax.device_put((sparsity.indptr, sparsity.indices, values)),
