@@ -107,7 +107,7 @@ def test_the_beam_becomes_an_arc(turn, off):
     # On a straight line to three quarters of a circle there was no solution.
     assert int(solution.steps) < 80
     angle = 2.0 * np.pi * turn
-    # No load step turns the plate by more than half a radian, which crushes tets.
+    # No load step turns the plate by more than a radian, which crushes tets.
     assert int(solution.load_steps) >= int(angle)
     node = nearest_node(robot().mesh, MIDDLE)
     position = (
