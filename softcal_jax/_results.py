@@ -14,14 +14,14 @@ class RESULTS(eqx.Enumeration):
         "mechanism does, or raise max_steps ([newton] in a project file)"
     )
     limit_point = (
-        "a limit point: the largest load that the body bears; no stable equilibrium "
-        "follows at a higher one. Check modulus, wall and units, reduce the load, or "
-        "trace the branch with trace_equilibria"
+        "a limit point: the largest load that the body bears on this path; no stable "
+        "equilibrium was found from here at a higher one. Check modulus, wall and "
+        "units, reduce the load, or trace the branch with trace_equilibria"
     )
     largest_pressure = (
-        "a limit point: the largest pressure that a chamber bears; no stable "
-        "equilibrium follows at a higher one. Check modulus, wall and units, lower the "
-        "pressure, or impose the volume in its place"
+        "a limit point: the largest pressure that a chamber bears on this path; no "
+        "stable equilibrium was found from here at a higher one. Check modulus, wall "
+        "and units, lower the pressure, or impose the volume in its place"
     )
     law_unstable = (
         "the law loses its stability: along the motion by which the body gives way, it "
@@ -38,8 +38,8 @@ class RESULTS(eqx.Enumeration):
         "something can move with hardly any energy, as a mechanism does"
     )
     unstable = (
-        "the state is unstable: its tangent has negative eigenvalues, so no stable "
-        "equilibrium follows this load path, as where a body buckles or snaps through"
+        "the state is unstable: its tangent has negative eigenvalues, as where a body "
+        "buckles or snaps through; no stable equilibrium was found from this start"
     )
     singular = (
         "the tangent could not be factorized: it is singular, as for a mechanism or "

@@ -8,6 +8,7 @@ docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrot
 Scripts often write the numbers alone; their markers are named by place, "1", "2", ...
 """
 
+import importlib.util
 import itertools
 import math
 import os
@@ -19,7 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file
+from softcal_jax._limits import MESHING_MEGABYTES, MESHING_SECONDS
 from softcal_jax._names import check_known
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
@@ -51,30 +54,29 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
         ValueError: If it cannot be read, holds no frames, no markers or two of one
             label, or states no positive rate or no known unit of length.
     """
-    try:
-        import ezc3d
-    except ImportError as error:
+    if importlib.util.find_spec("ezc3d") is None:
         raise ImportError(
             "reading .c3d files needs ezc3d: pip install 'softcal-jax[mocap]'."
-        ) from error
+        )
     path = Path(path)
     check_file(path, "recording")
     try:
-        content = ezc3d.c3d(str(path))
-        point, data = content["parameters"]["POINT"], content["data"]
-        rate = float(point["RATE"]["value"][0])
-        event = content["parameters"].get("EVENT", {})
+        limits = {"seconds": MESHING_SECONDS.most, "megabytes": MESHING_MEGABYTES.most}
+        program = Path(__file__).with_name("_c3d_program.py")
+        data, _ = run_apart(program, str(path.absolute()), **limits)
+        point, event = data["POINT"], data["EVENT"]
+        rate = float(point["RATE"][0])
         # Each time is a number of minutes and one of seconds.
         parts = [np.reshape(part, (2, -1)) for part in _parts(event, "TIMES")]
         times = np.array([60.0, 1.0]) @ np.concatenate([np.empty((2, 0)), *parts], 1)
         # They count from the first frame of the trial, of which this may be a part.
-        times -= int(content["header"]["points"]["first_frame"]) / rate
-    except (LookupError, OSError, RuntimeError, ValueError) as error:
+        times -= data["first_frame"] / rate
+    except (LookupError, MemoryError, OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"recording {path} cannot be read: {error}.") from error
     check_rate(path, rate)
     metres = metres_of(path, _texts(point, "UNITS", 1)[0])
     positions = metres * np.transpose(np.asarray(data["points"], float)[:3], (2, 1, 0))
-    positions[np.asarray(data["meta_points"]["residuals"])[0].T < 0.0] = np.nan
+    positions[np.asarray(data["residuals"])[0].T < 0.0] = np.nan
     positions[~positions.any(axis=2)] = np.nan
     labels = _texts(point, "LABELS", positions.shape[1])
     named, events = _named(path, labels), _texts(event, "LABELS", times.size)
@@ -90,7 +92,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
 def _parts(group: Any, key: str) -> list[Any]:
     """Return what a key has; after 255 entries it goes on in KEY2, then KEY3."""
     keys = [key, *(f"{key}{n}" for n in range(2, 258))]
-    return [group[k]["value"] for k in keys if k in group]
+    return [group[k] for k in keys if k in group]
 
 
 def _texts(group: Any, key: str, n: int) -> list[str]:

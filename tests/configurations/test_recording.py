@@ -59,6 +59,23 @@ def test_windows_outside_of_the_recording_are_refused():
         recording.step_of("base")
 
 
+def test_a_damaged_file_does_not_end_the_process(tmp_path):
+    """Its library ends with a segmentation fault on some of them."""
+    whole = write_recording(tmp_path / "a.c3d", motion()).read_bytes()
+    rng, refused = np.random.default_rng(0), []
+    for k in range(4):
+        damaged = bytearray(whole)
+        for place in rng.integers(0, len(whole), 20):
+            damaged[place] = rng.integers(256)
+        (tmp_path / f"{k}.c3d").write_bytes(damaged)
+        try:
+            read_c3d(tmp_path / f"{k}.c3d")
+        except ValueError as error:
+            refused.append(str(error))
+    assert refused
+    assert all(".c3d" in text for text in refused), refused
+
+
 def test_files_that_are_no_recordings_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.c3d .*exist"):
         read_c3d(tmp_path / "none.c3d")
