@@ -28,6 +28,10 @@ class RESULTS(eqx.Enumeration):
         "has less than a quarter of its stiffness at rest. Check its constants and the "
         "load, or take a law that is meant for such strains"
     )
+    other_points = (
+        "the points of the mesh were set, and the rest of the model did not follow: "
+        "use softcal_jax.with_points(model, points)"
+    )
     states_used_up = (
         "the path along the load needs more states to reach the full load; raise "
         "`states` of LoadPath"

@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
 from softcal_jax._names import check_known
-from softcal_jax._typing import Array, Float, HostArray, is_traced
+from softcal_jax._typing import Array, Bool, Float, HostArray, is_traced
 from softcal_jax.actuators import (
     AbstractActuator,
     ActuatorArrays,
@@ -71,6 +71,11 @@ class Mechanism(Module):
         if all(traced) or (not any(traced) and np.array_equal(*both)):
             return
         raise ValueError(OTHER_POINTS)
+
+    def is_off(self, mesh: TetMesh) -> Bool[Array, ""]:
+        """Tell the same of points that are traced, when a program runs."""
+        both = jnp.asarray(mesh.points), jnp.asarray(self.points)[: mesh.n_nodes]
+        return jnp.any(both[0] != both[1])
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
         """Compute displacements delta_a at positions x [m], as imposed and measured.

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, is_traced
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     Strains,
@@ -44,6 +44,8 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
             "nodes of the mesh, then those of the rigid bodies' frames."
         )
     model.mechanism.check_on(model.mesh)
+    if is_traced(model.mesh.points):
+        u = jnp.where(model.mechanism.is_off(model.mesh), jnp.nan, u)
     law, shared = split_law(model.law)
     law = jax.tree.map(model.blocks, law)
     blocks = (model.shape_gradients, model.weights, law, model.active)

@@ -207,7 +207,7 @@ class _Lanes:
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
         self._with_cause = partial(with_cause, model)
-        self._trouble = partial(_trouble, model)
+        self._trouble = partial(_trouble, model) if report else lambda _: ""
         self._trace = lambda c: trace_equilibria(
             model, configurations[c], settings=newton, check=workers.check
         )

@@ -33,7 +33,7 @@ from softcal_jax.equilibrium._direction import (
 from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._newton import NEAR, NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solve import EquilibriumSolution
 
@@ -49,9 +49,6 @@ would leave a less accurate tangent to the sensitivities.
 MOST_CHORDS = 3
 """Most chord steps that may remain at the last rate; else take a Newton step."""
 
-SHORT = 1e-3
-"""Relative residual below which strains and stresses are those of the displacement."""
-
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
 
@@ -65,7 +62,7 @@ class _Quick(NamedTuple):
 
     `residual` and `steps` are those of the last step that was taken. `strains` are
     those of the Newton step, unless `exact`: those of u if the residual is small
-    (`SHORT`). `sharp` tells whether it is below `SHARP`. `factor` belongs to the last
+    (`NEAR`). `sharp` tells whether it is below `SHARP`. `factor` belongs to the last
     Newton step; with `chord` the next step reuses it. `arrived`: in equilibrium, but
     the tangent may still be that of an earlier state; `converged`: and that step was
     taken.
@@ -178,7 +175,7 @@ class _QuickSteps(NamedTuple):
         if before is not None:
             du = point.u - before
             strains, sound = predict(self.model, before, du, strains, exact)
-            exact = (size <= SHORT) | ~sound
+            exact = (size <= NEAR) | ~sound
         return _Quick(
             point=point,
             lambda_a=lambda_a,
@@ -263,11 +260,16 @@ class _QuickSteps(NamedTuple):
         moved = new, new_lambda, residual, steps, factor.n_negative, arrived
         pick = lambda a, b: jnp.where(taken, a, b)
         du = new.u - s.point.u
-        strains, fit = predict(self.model, s.point.u, du, s.strains, s.exact)
+        exact = ~taken | (size <= NEAR)
+        strains, usable = jax.lax.cond(
+            exact,
+            lambda: (s.strains, jnp.ones((), bool)),
+            lambda: predict(self.model, s.point.u, du, s.strains, s.exact),
+        )
         return _Quick(
             *jax.tree.map(pick, moved, old),
             strains=strains,
-            exact=~taken | ~fit | (size <= SHORT),
+            exact=exact | ~usable,
             sharp=taken & (size <= SHARP),
             factor=factor,
             chord=taken & ~arrived & close,

@@ -61,12 +61,6 @@ def deformation_gradients(
     return jax.lax.optimization_barrier(jnp.eye(3)[None] + H)
 
 
-def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
-    """Return the volume ratios J, the factors (theta / J)^(1/3), and F^-T."""
-    J = jax.vmap(determinant)(F)
-    return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
-
-
 def element_energy_and_force(
     u: Float[Array, "n_en 3"], tet: Tet
 ) -> tuple[Float[Array, ""], Float[Array, "n_en 3"]]:

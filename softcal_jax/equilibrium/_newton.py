@@ -37,13 +37,10 @@ _HELD_TURN = 1.0
 In longer steps Newton's method spends more iterations on crushed tets than it saves.
 """
 
-_NEAR = 1e-3
-"""Residual relative to internal forces below which a step hardly moves the tangent."""
+NEAR = 1e-3
+"""Relative residual below which a step hardly moves the tangent, and takes that of u.
 
-SHARP = 1e-6
-"""Relative residual below which a step takes the strains of u.
-
-Further off, these spoil the steps of a nearly incompressible body.
+Negative eigenvalues of the tangent then tell of stability.
 """
 
 _PROBE = 0.05
@@ -197,8 +194,7 @@ class NewtonLoop:
             s.lambda_a,
             strains=s.strains,
             exact=exact,
-            # Exact near the solution, where negative eigenvalues tell of stability.
-            tamed=s.residual.size > _NEAR,
+            tamed=s.residual.size > NEAR,
         )
         factor = direction.factor
         downhill = jnp.ones((), bool)
@@ -226,15 +222,15 @@ class NewtonLoop:
         )
         # A single step that converges, as in a strut under an axial force, leaves the
         # tangent of another state: factorize once more at this state without moving.
-        near = before <= _NEAR * jnp.linalg.norm(tried.point.force)
-        near = near | (factor.n_negative < 0)
+        near = before <= NEAR * jnp.linalg.norm(tried.point.force)
+        near = (near & exact) | (factor.n_negative < 0)
         stay = s.residual.settled(rtol) & (s.step_in_load > 1)
         good, near = good | (stay & factor.ok), near | stay
         residual = _select(stay, s.residual, residual)
         tried = _select(stay, tried._replace(point=s.point, lambda_a=s.lambda_a), tried)
         u, du = s.point.u, tried.point.u - s.point.u
         # Where the next step takes the strains of u, none are predicted.
-        exact_next = direction.moving | (residual.size <= SHARP)
+        exact_next = direction.moving | (residual.size <= NEAR)
         strains, sound = jax.lax.cond(
             strict | exact_next,
             lambda: (s.strains, jnp.ones((), bool)),

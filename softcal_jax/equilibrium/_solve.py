@@ -28,7 +28,7 @@ from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensit
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._without_derivative import refuse_if, without_derivative
+from softcal_jax.equilibrium._without_derivative import without_derivative
 
 
 class EquilibriumSolution(Module):
@@ -193,10 +193,7 @@ def continue_newton(
 
 
 _GIVES_WAY = 0.25
-"""Share of its stiffness at rest below which a law gives way; structures keep it [-].
-
-Measured: 0.11 and less where a law's stress falls, 0.4 and more for columns, a balloon.
-"""
+"""Share of its stiffness at rest below which a law gives way; structures keep it [-]."""
 
 
 def with_cause(
@@ -349,10 +346,11 @@ def solve_equilibrium(
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
     inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
     if any(map(is_traced, jax.tree.leaves(inside))):
-        of_mesh = model.mechanism.points[: model.mesh.n_nodes]
-        moved = jnp.any(jnp.asarray(model.mesh.points) != of_mesh)
-        u0 = refuse_if(u0, moved, OTHER_POINTS)
         solution = _compiled_equilibrium(model, bare, u0, settings)
+        # An error would be a callback, which keeps programs out of JAX's cache.
+        off = model.mechanism.is_off(model.mesh)
+        result = RESULTS.where(off, RESULTS.other_points, solution.result)
+        solution = replace(solution, result=result)
         by = solution.min_det_F
         guarded = lambda name: without_derivative(getattr(solution, name), by, name)
         return replace(solution, **{name: guarded(name) for name in _DIAGNOSTICS})

@@ -66,6 +66,11 @@ def test_a_start_that_is_too_soft_is_raised_and_said():
         carried / 100.0, abs=2e-3
     )
     assert says(progress[-1], "pushed", "100 %", "moduli 2 times")
+    # Where the load is cut for the third time, with its place and without an estimate.
+    hard = [str(p) for p in progress if p.trouble]
+    assert hard
+    assert says(hard[-1], "pushed", "load steps cut to", "% (tets at", "mm deform most")
+    assert not any("left" in text for text in hard)
 
 
 def test_without_being_told_the_fit_is_the_same():

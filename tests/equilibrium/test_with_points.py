@@ -26,6 +26,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import HalfSpace
 from softcal_jax.equilibrium import (
+    RESULTS,
     build_model,
     energy_and_force,
     lanes,
@@ -96,6 +97,7 @@ def moves(points):
 
 MODEL, POSE = built(POINTS)
 LANE, TANGENT = arrays(MODEL, POSE), moves(POINTS)
+ELSEWHERE = POINTS + TANGENT
 
 
 def numbers_of(model):
@@ -158,17 +160,34 @@ def test_points_set_in_another_way_raise():
 FAR = jnp.zeros((MODEL.n_points, 3))
 
 
-def test_points_set_where_the_model_is_traced_raise():
+def test_points_set_where_the_model_is_traced_are_not_used_unnoticed():
+    """Values are nan, with their reason; derivatives raise."""
+    set_points = lambda model, points: eqx.tree_at(
+        lambda m: m.mesh.points, model, points
+    )
+
     @eqx.filter_jit
     def height(model, points):
-        model = eqx.tree_at(lambda m: m.mesh.points, model, points)
-        return jnp.sum(solve_equilibrium(model, LANE).displacement)
+        solution = solve_equilibrium(set_points(model, points), LANE)
+        return jnp.sum(solution.displacement), solution.result
+
+    @eqx.filter_jit
+    def energy(model, points):
+        return energy_and_force(set_points(model, points), 0.1 * FAR)[0]
 
     with pytest.raises(ValueError, match="with_points"):
-        jax.grad(lambda points: height(MODEL, points))(POINTS)
-    assert np.isfinite(height(MODEL, POINTS))
-    with pytest.raises(RuntimeError, match="with_points"):
-        height(MODEL, POINTS + TANGENT)
+        jax.grad(lambda points: height(MODEL, points)[0])(POINTS)
+    for points, known in ((POINTS, True), (ELSEWHERE, False)):
+        u, result = height(MODEL, points)
+        assert bool(result == RESULTS.other_points) is not known
+        assert bool(jnp.isfinite(u)) is known
+        assert bool(jnp.isfinite(energy(MODEL, points))) is known
+
+
+def test_a_program_that_takes_the_model_can_be_kept():
+    """JAX keeps none that calls back into Python, as an error in a program does."""
+    solve = jax.jit(lambda model, lane: solve_equilibrium(model, lane).displacement)
+    assert "callback" not in solve.lower(MODEL, LANE).as_text()
 
 
 SPREAD = {
