@@ -193,7 +193,7 @@ def continue_newton(
 
 
 _GIVES_WAY = 0.25
-"""Share of its stiffness at rest below which a law gives way; structures keep it [-]."""
+"""Share of its stiffness at rest under which a law gives way; structures keep more."""
 
 
 def with_cause(
