@@ -21,6 +21,11 @@ _FAR = 1e7
 _THIN = 1e-6
 """Height of a triangle without an area, over the size of the surface [-]."""
 
+_TANGLED = 0.25
+"""Share of triangles that run through others, above which a part is no surface [-]."""
+
+_TRIED = 200  # triangles for which that is found out
+
 
 class Triangles(NamedTuple):
     """A surface of triangles in the unit of its file, with each corner once."""
@@ -145,6 +150,31 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
             "the body is solid there, delete it."
         )
     return surface._replace(triangles=triangles), notes
+
+
+def check_tangle(surface: Triangles) -> None:
+    """Check that no part runs through itself nearly everywhere: noise, no body.
+
+    Raises:
+        ValueError: If one does. Some programs would try to fill it for hours.
+    """
+    import pyvista
+
+    body = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles)
+    part, corners = _alike(surface.triangles)[0], surface.corners
+    middle = corners.mean(axis=1, keepdims=True)
+    inside = middle + 0.99 * (corners - middle)  # so that no neighbour is met
+    tried = np.random.default_rng(0).permutation(len(part))[:_TRIED]
+    met = lambda k, end: body.ray_trace(middle[k, 0], end)[1]
+    through = [
+        any((part[m] == part[k]) & (m != k) for end in inside[k] for m in met(k, end))
+        for k in tried
+    ]
+    if (share := np.mean(through)) > _TANGLED:
+        raise ValueError(
+            f"about {share:.0%} of its triangles run through others of the same part; "
+            "expected the surface of a body. Export it again."
+        )
 
 
 def _alike(

@@ -222,6 +222,15 @@ def test_what_no_program_fills_is_refused_at_once(tmp_path):
             read_stl(write_boxes(path, surface))
 
 
+def test_noise_is_refused_at_once(tmp_path):
+    """Closed, but with corners at random places."""
+    points, triangles = box_triangles(*OUTER)
+    noise = np.random.default_rng(0).random(points.shape) * np.ptp(points, axis=0)
+    path = write_boxes(tmp_path / "noise.stl", (noise, triangles))
+    with pytest.raises(ValueError, match=r"noise\.stl: .* run through others"):
+        mesh_cad(path, size=SIZE, length_unit="mm")
+
+
 def test_the_unit_is_needed(stl):
     with pytest.raises(ValueError, match=r"STL .*unit.* None"):
         mesh_cad(stl, size=SIZE)
