@@ -4,6 +4,9 @@
   7 to 73 % of the length (the thin one by up to 90 %), at four Poisson's ratios.
 - `buckle`: a column under 1.1 to 4 times its Euler load, with 1 % of it across.
 - `turn`: the held end of a rod of 20 elements goes round a full circle.
+- `roll`: a couple about a fixed axis on that end does the same (M = 2 pi E I / L), at
+  two Poisson's ratios. A side of the rod is held in its plane: a couple that does not
+  follow makes a square rod give way sideways.
 - `felupe`: the same cantilevers in FElupe, with the fewest equal load steps among 1, 2,
   5, 10, 20, 50 and 100 that converge: its iterations, and its time over ours.
 - `random`: random bodies and loads with limit points and buckling. `false_stable`
@@ -13,8 +16,8 @@
 Figures are Newton iterations, unless their names say otherwise.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import felupe as fem
@@ -25,8 +28,14 @@ from benchmarks._cantilever import solve
 from benchmarks._felupe import linear_solvers
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio
+from softcal_jax.actuators import AbstractActuator, Kind, Motor
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.configurations import Configuration, SurfaceForce
+from softcal_jax.configurations import (
+    Configuration,
+    ImposedForce,
+    Support,
+    SurfaceForce,
+)
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Formulation,
@@ -47,7 +56,7 @@ from softcal_jax.mesh import beam
 
 E = 150e3
 NO_WEIGHT = (0.0, 0.0, 0.0)
-COUNTS = {"bend": 6, "buckle": 4, "turn": 1, "felupe": 6, "random": 200}
+COUNTS = {"bend": 6, "buckle": 4, "turn": 1, "roll": 1, "felupe": 6, "random": 200}
 
 
 class Body(NamedTuple):
@@ -90,6 +99,9 @@ BODIES = {
     ),
     "corotational": Body(*STUBBY, 0.45, "displacement", FORCES, (9,) * 6),
 }
+ROD = (0.1, 0.005)
+"""Length of the rod that is bent to a circle, and its side [m]."""
+
 COLUMN = {1.1: 60, 1.5: 60, 2.0: 60, 4.0: 60}
 GOALS = {
     **{
@@ -98,6 +110,7 @@ GOALS = {
         for i, most in enumerate(body.wanted, 1)
     },
     **{f"column_{k:g}": Goal("at most", most) for k, most in COLUMN.items()},
+    "roll": Goal("at most", 25),
     "false_stable": Goal("at most", 0),
 }
 
@@ -125,6 +138,9 @@ def run(options: Options) -> Outcome:
     if counts.get("turn"):
         options.say("a full circle")
         figures |= _circle()
+    if counts.get("roll"):
+        options.say("rolled up by a couple")
+        figures |= _rolled()
     if n := counts.get("felupe"):
         for name in ("stubby", "slender"):
             options.say(f"{name} cantilever in FElupe")
@@ -172,16 +188,51 @@ def _columns() -> dict[str, Figure]:
     }
 
 
-def _circle() -> dict[str, Figure]:
-    length, side = 0.1, 0.005
+def _rod(nu: float, couples: Sequence[AbstractActuator] = ()) -> Model:
+    """A rod of square section with a plate on its end."""
+    length, side = ROD
     mesh = beam(length, side, side, (20, 1, 1), order=2)
-    plate = RigidBody("plate", "x_max", origin=(length, 0.5 * side, 0.5 * side))
-    law = NeoHookean(E, 0.45)
-    model = build_model(mesh, law, density=0.0, bodies=[plate])
-    once = Pose((-length, 0.0, 0.0), (0.0, -2.0 * np.pi, 0.0))
+    centre, axes = (length, 0.5 * side, 0.5 * side), np.roll(np.eye(3), 1, axis=0)
+    plate = RigidBody("plate", "x_max", origin=centre, axes=axes)  # its third axis is y
+    return build_model(
+        mesh, NeoHookean(E, nu), density=0.0, bodies=[plate], actuators=couples
+    )
+
+
+def _circle() -> dict[str, Figure]:
+    model = _rod(0.45)
+    once = Pose((-ROD[0], 0.0, 0.0), (0.0, -2.0 * np.pi, 0.0))
     pose = Configuration("once", "x_min", NO_WEIGHT, bodies={"plate": once})
     solution = jax.block_until_ready(solve(model, lanes(model, pose)[0]))
     return {"circle": _iterations(solution)}
+
+
+class Couple(AbstractActuator):
+    """A torque about the third axis of a free body, which is fixed in space."""
+
+    body: str
+    kind: ClassVar[Kind] = Kind("couple", "N m", "rad")
+
+    def cliques(self, rest: Any, owner: int) -> Any:
+        """Its angle is that of the body's frame."""
+        return Motor(self.label, self.body).cliques(rest, owner)
+
+
+def _rolled() -> dict[str, Figure]:
+    length, side = ROD
+    once = ImposedForce(-2.0 * np.pi * E * side**4 / 12.0 / length)
+    found: dict[str, Figure] = {}
+    for name, nu in {"roll": 0.0, "roll_45": 0.45}.items():
+        model = _rod(nu, [Couple("couple", "plate")])
+        x, y, _ = np.asarray(model.mesh.points).T
+        side_nodes = np.flatnonzero((y < 1e-9) & (x < length - 1e-9))
+        supports = Support("x_min"), Support(side_nodes, "y")
+        pose = Configuration("once", supports, NO_WEIGHT, actuation={"couple": once})
+        solution = jax.block_until_ready(solve(model, lanes(model, pose)[0]))
+        end = np.asarray(solution.displacement[model.mesh.n_nodes])
+        gap = 100.0 * float(np.hypot(end[0] + length, end[2])) / length
+        found |= {name: _iterations(solution), f"{name}_gap_percent": gap}
+    return found
 
 
 class FelupeCantilever:

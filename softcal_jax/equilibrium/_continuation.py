@@ -173,7 +173,7 @@ class _QuickSteps(NamedTuple):
         size = self.residual(point, lambda_a)
         strains, exact = no_strains(self.model), ~no
         if before is not None:
-            du = point.u - before
+            du = guess - before  # along straight lines, as it was extrapolated
             strains, sound = predict(self.model, before, du, strains, exact)
             exact = (size <= NEAR) | ~sound
         return _Quick(
@@ -259,7 +259,7 @@ class _QuickSteps(NamedTuple):
         old = s.point, s.lambda_a, last, s.steps, s.n_negative, s.converged
         moved = new, new_lambda, residual, steps, factor.n_negative, arrived
         pick = lambda a, b: jnp.where(taken, a, b)
-        du = new.u - s.point.u
+        du = posed.scatter(s.point.u, step.d)
         exact = ~taken | (size <= NEAR)
         strains, usable = jax.lax.cond(
             exact,

@@ -113,7 +113,7 @@ def newton_direction(
     d = solved.x[0]
     slope = jnp.sum(posed.on_free(u, tangent.g) * d)
     supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)
-    sign, reach = _on_hinges(posed, d[u.size :], slope, moving)
+    sign, reach = _of_turning_bodies(posed, d[u.size :], slope, moving)
     factor = Factor(
         system=tangent.system,
         stiffness=tangent.stiffness,
@@ -134,29 +134,34 @@ def newton_direction(
     )
 
 
-def _on_hinges(posed: Posed, twists, slope, moving):
-    """Return the sign and the reach of a step where a body turns on a free hinge.
+def _of_turning_bodies(posed: Posed, twists, slope, moving):
+    """Return the sign and the reach of a step that turns bodies.
 
-    If only weight or a torque holds the body, its rotational stiffness at rest is
-    almost zero, with either sign. A full Newton step would spin it many times, or turn
-    it into the unstable upright position.
+    If only weight or a torque holds a body on a hinge, its rotational stiffness at rest
+    is almost zero, with either sign. A full Newton step would spin it many times, or
+    turn it into the unstable upright position. And by more than half a turn a body
+    comes nearer again, while the nodes beside it move away along straight lines.
     """
     one, model = jnp.ones(()), posed.model
     if posed.states is None:
         return one, one
     hinged = (posed.states.kind == KINDS.index("hinged")) & ~moving
-    turns = jnp.abs(twists.reshape(-1, 6)[:, 5]) / model.mechanism.bodies.length
-    largest = jnp.max(jnp.where(hinged, turns, 0.0))
+    turns = jnp.linalg.norm(twists.reshape(-1, 6)[:, 3:], axis=1)
+    turns = turns / model.mechanism.bodies.length
     uphill = jnp.any(hinged) & (slope > 0.0) & ~jnp.any(posed.by_multiplier)
     uphill = uphill & model.conservative
-    reach = _LARGEST_TURN / jnp.maximum(largest, _LARGEST_TURN)
+    too_far = jnp.max(turns / jnp.where(hinged, _LARGEST_TURN, jnp.pi))
+    reach = 1.0 / jnp.where(moving, 1.0, jnp.maximum(too_far, 1.0))
     return jnp.where(uphill, -one, one), reach
 
 
 class LineSearchTrial(NamedTuple):
+    """A point that a `share` of the step leads to, and the norm of its residual."""
+
     point: Point
     lambda_a: Float[Array, " n_a"]
     merit: Float[Array, ""]
+    share: Float[Array, ""]
     good: Bool[Array, ""]
 
 
@@ -195,7 +200,7 @@ def line_search(
         free = ~strict & ~(point.touches | new.touches)
         good = (enough | moving | free) & new.finite & ~inside_out
         good = good & ~posed.passes_through(point.u, new.u)
-        return LineSearchTrial(new, lambda_a, size, good)
+        return LineSearchTrial(new, lambda_a, size, alpha, good)
 
     def keep_trying(carry):
         _, trials, tried = carry
@@ -207,7 +212,8 @@ def line_search(
         return 0.5 * alpha, trials + 1, trial(alpha)
 
     # The first trial is inside the loop, so that it is compiled only once.
-    none = LineSearchTrial(point, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
+    zero = jnp.zeros(())
+    none = LineSearchTrial(point, step.lambda_a, zero, zero, jnp.zeros((), bool))
     return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
 
 

@@ -228,7 +228,9 @@ class NewtonLoop:
         good, near = good | (stay & factor.ok), near | stay
         residual = _select(stay, s.residual, residual)
         tried = _select(stay, tried._replace(point=s.point, lambda_a=s.lambda_a), tried)
-        u, du = s.point.u, tried.point.u - s.point.u
+        u = s.point.u
+        # Along straight lines, as the step foresaw: bodies turned meanwhile.
+        du = posed.scatter(u, tried.share * direction.step.d)
         # Where the next step takes the strains of u, none are predicted.
         exact_next = direction.moving | (residual.size <= NEAR)
         strains, sound = jax.lax.cond(
