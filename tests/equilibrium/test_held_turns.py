@@ -5,6 +5,7 @@ In pure bending a straight beam becomes an arc of constant length, whatever its 
 
 from dataclasses import replace
 from functools import cache
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,9 @@ import pytest
 from mechanisms import NO_GRAVITY, TIGHT, arrays, solve
 from problems import central_difference, nearest_node
 
+from softcal_jax.actuators import AbstractActuator, Kind, Motor
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.configurations import BodyFrame, Configuration, Support
+from softcal_jax.configurations import BodyFrame, Configuration, ImposedForce, Support
 from softcal_jax.equilibrium import (
     RESULTS,
     LoadPath,
@@ -118,6 +120,39 @@ def test_the_beam_becomes_an_arc(turn, off):
     # Ten cells of quadratic tets, and a section that curves across, too.
     expected = arc(0.5 * angle, 0.5 * LENGTH)
     np.testing.assert_allclose(position, expected, rtol=0, atol=off * LENGTH)
+
+
+class Couple(AbstractActuator):
+    """A torque about the third axis of a free body, which is fixed in space."""
+
+    body: str
+    kind: ClassVar[Kind] = Kind("couple", "N m", "rad")
+
+    def cliques(self, rest, owner):
+        return Motor(self.label, self.body).cliques(rest, owner)
+
+
+def test_a_couple_rolls_the_beam_up():
+    """In one load step, as what turns with the plate is foreseen along its tangents.
+
+    One side stays in its plane: a couple that does not follow pushes a square rod over.
+    """
+    mesh = robot().mesh
+    axes = np.roll(np.eye(3), 1, axis=0)  # the third is y
+    plate = RigidBody("plate", "x_max", origin=MIDDLE_OF_END, axes=axes)
+    couple, law = Couple("couple", "plate"), Corotational(Isotropic(E, 0.0))
+    model = build_model(mesh, law, density=0.0, bodies=[plate], actuators=[couple])
+    x, y, _ = mesh.points.T
+    side = Support(np.flatnonzero((y < 1e-9) & (x < LENGTH - 1e-9)), "y")
+    angle, EI = np.pi, E * SIDE**4 / 12.0
+    once = {"couple": ImposedForce(-EI * angle / LENGTH)}
+    pose = Configuration("once", [Support("x_min"), side], NO_GRAVITY, actuation=once)
+    solution = solve(model, arrays(model, pose), None, NewtonSettings())[0]
+    assert bool(solution.converged), RESULTS[solution.result]
+    assert int(solution.load_steps) == 1
+    assert int(solution.steps) < 20
+    end = np.array([LENGTH, 0.0, 0.0]) + solution.displacement[mesh.n_nodes]
+    np.testing.assert_allclose(end, arc(angle), rtol=0, atol=0.02 * LENGTH)
 
 
 def test_a_flat_strip_closes_to_a_ring():
