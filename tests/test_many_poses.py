@@ -1,15 +1,15 @@
 """Many held-out configurations: few are listed, the others are summed up."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
 from export.handmade import make_fit, make_result, small_model
+from matplotlib.figure import Figure
 from wording import says
 
+from softcal_jax.plotting import draw_workspace
 from softcal_jax.report import held_out_sentences
-from softcal_jax.report._charts import workspace_chart
 from softcal_jax.report._tables import error_tables
 from softcal_jax.report._verdict import MOST_LISTED, listed_fits
 
@@ -77,14 +77,14 @@ def test_a_few_are_listed_one_by_one(fits):
 
 
 def test_errors_are_drawn_over_the_workspace(fits):
-    (chart,) = workspace_chart(fits)
-    assert chart.count("<circle") == len(fits)
-    worst = max(fit.rms_after for fit in fits)
-    assert says(chart, f"{1e3 * worst:.2f} mm", "held out")
-    across = [float(x) for x in re.findall(r'cx="([\d.]+)%"', chart)]
-    shown = np.argsort([int(fit.name.split()[-1]) for fit in fits[1:]])
-    assert np.all(np.diff(np.array(across[1:])[shown]) > 0.0)
-    radii = np.array([float(r) for r in re.findall(r' r="([\d.]+)"', chart)])
+    axes = draw_workspace(Figure().subplots(), fits)
+    (circles,) = axes.collections
     ranked = np.argsort([fit.rms_after for fit in fits])
-    assert np.all(np.diff(radii[ranked]) >= 0.0)
-    assert radii.max() > 2.0 * radii.min()
+    area = circles.get_sizes()[ranked]
+    assert len(area) == len(fits)
+    assert np.all(np.diff(area) >= 0.0)
+    assert area.max() > 2.0 * area.min()
+    shown = np.argsort([int(fit.name.split()[-1]) for fit in fits[1:]])
+    assert np.all(np.diff(circles.get_offsets()[1:, 0][shown]) > 0.0)
+    filled = np.any(circles.get_facecolors()[:, :3] < 1.0, axis=1)
+    assert filled.tolist() == [fit.role == "validation" for fit in fits]

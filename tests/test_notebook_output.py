@@ -48,7 +48,7 @@ def test_the_verdict_and_the_numbers_are_those_of_the_page(tmp_path, monkeypatch
     assert says(shown.text, "with care")
     for title, rows in shown.tables.items():
         assert whole.tables[title] == rows
-    assert shown.of("circle")
+    assert shown.of("img")
 
 
 def test_other_objects_have_none():

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -138,7 +139,7 @@ def check_page(folder):
         assert tag not in ("link", "iframe", "object", "base", "form")
         assert not [key for key in attrs if key.startswith("on")]
         if "src" in attrs:
-            assert attrs["src"].startswith("data:image/png;base64,")
+            assert re.match(r"data:image/(png|svg\+xml);base64,", attrs["src"])
         if "href" in attrs:
             target = attrs["href"]
             assert target[1:] in ids if target.startswith("#") else target in files
@@ -225,8 +226,6 @@ def test_the_numbers_are_those_of_result_json(tmp_path):
         for cause, std in param["by_cause"].items():
             (percent,) = re.findall(rf"{cause} ([\d.]+) %", sentences[param["name"]])
             assert float(percent) == pytest.approx(100.0 * std / value, rel=0.05)
-            share = (std / param["standard_error"]) ** 2
-            assert f"{cause} {100.0 * share:.0f} %" in page.text
 
     _, *rows = page.tables["Steps of the fit"]
     for row, step in zip(rows, data["history"], strict=True):
@@ -274,11 +273,14 @@ def test_hostile_names_stay_text(tmp_path):
     check_page(tmp_path / "out")
     shown = HOSTILE.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e")
     assert page.texts.count(shown) >= 5
-    assert not page.of("img")
+    for image in page.of("img"):
+        content = base64.b64decode(image["src"].partition(",")[2])
+        words = "".join(ElementTree.fromstring(content).itertext())
+        assert not {"\x1b", "\u202e"} & {*words}
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "\x1b" not in text
     assert "\u202e" not in text
-    assert "<img" not in text
+    assert "<img src=x" not in text
 
 
 def colours(page):
@@ -392,6 +394,11 @@ def test_command_and_hashes_of_the_other_runs(tmp_path, command):
     assert dict(page.tables["Versions"]) == data["versions"] != {}
 
 
+def drawn(page):
+    """The pictures of bodies, which are no charts."""
+    return [img for img in page.of("img") if img["src"].startswith("data:image/png")]
+
+
 def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     """One that would make the page too large stays beside it, with a link."""
 
@@ -404,7 +411,7 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(_write, "render_configuration", draw)
     page, _ = written(tmp_path / "out", make_result())
     check_page(tmp_path / "out")
-    first, second = page.of("img")
+    first, second = drawn(page)
     assert says(first["alt"], "droop (fitted)")
     assert says(second["alt"], "held out (held out)")
     size = (tmp_path / "out" / "droop.png").stat().st_size
@@ -416,7 +423,7 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     monkeypatch.setattr("softcal_jax.report._pages.MOST_PICTURES", size)
     page, _ = written(tmp_path / "small", make_result())
     check_page(tmp_path / "small")
-    assert len(page.of("img")) == 1
+    assert len(drawn(page)) == 1
     assert {"href": "held_out.png"} in page.of("a")
 
 

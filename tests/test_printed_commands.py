@@ -157,6 +157,15 @@ def swept(folder, number):
         (folder / "sweep.toml").write_text(many)
 
 
+def drawn(folder, number):
+    """The small project, and a sweep of it."""
+    if number == 0:
+        write_small_project(folder)
+        few = 'project = "project.toml"\n[axes]\nnoise = { count = 2 }\n'
+        (folder / "sweep.toml").write_text(few)
+        assert main(["sweep", "sweep.toml", "--workers", "0"]) == 0
+
+
 SLOW = pytest.mark.slow  # a minute each, nearly all of it compiling
 SCENES = {
     "README.md": (rod("finger.step", "markers.csv"), ()),
@@ -169,6 +178,7 @@ SCENES = {
     "docs/guide/differentiate.md": (nothing, SLOW),
     "docs/guide/fields.md": (nothing, SLOW),
     "docs/guide/other-programs.md": (calibrated, SLOW),
+    "docs/guide/pictures.md": (drawn, SLOW),
     "docs/guide/robots.md": (nothing, SLOW),
     "docs/guide/sweeps.md": (swept, SLOW),
     "docs/guide/verdict.md": (calibrated, SLOW),

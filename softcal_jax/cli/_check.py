@@ -30,8 +30,8 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
         check_file(args.project, "project file")
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
-    cli.check_suffix(picture, ".png", ".svg")
-    earlier = picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
+    cli.check_suffix(picture, ".png", ".svg", ".pdf")
+    earlier = picture.is_file() and _MARK.encode() in picture.read_bytes()
     if not args.no_pictures and not earlier:
         cli.check_new(picture, force=args.force)
     project = cli.load(args.project, show, solve=False)
@@ -108,7 +108,7 @@ configuration. Nothing is solved, so it takes seconds.""",
         epilog=_CHECK,
     )
     cli.add_path(command, "project", "PROJECT.toml", "the project file")
-    where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
+    where = "the picture, .png, .svg or .pdf (default: PROJECT_check.png, beside it)"
     cli.add_path(command, "--output", "FILE", where)
     again = "replace a picture that softcal check did not draw"
     cli.add_output(command, force=again, pictures=True)

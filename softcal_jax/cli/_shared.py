@@ -113,8 +113,8 @@ def add_output(
         which = command.add_mutually_exclusive_group()
         text = "write no pictures"
         which.add_argument("--no-pictures", action="store_true", help=text)
-        text = "format of the pictures: png (default) or svg, for print"
-        formats = {"choices": ["png", "svg"], "default": "png"}
+        text = "format of the pictures: png (default), or svg or pdf, for print"
+        formats = {"choices": ["png", "svg", "pdf"], "default": "png"}
         which.add_argument("--pictures", **formats, help=text)
 
 

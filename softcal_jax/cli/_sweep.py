@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli import _shared as cli
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.sweeps import Progress, Sweep, TrialRow
@@ -39,7 +40,7 @@ _SHOW = """\
 examples:
   softcal sweep show sweep.sqlite                     means over starts and noise
   softcal sweep show sweep.sqlite --all               every trial
-  softcal sweep show sweep.sqlite --by layout --plot layouts.png
+  softcal sweep show sweep.sqlite --by layout --plot layouts.pdf
   softcal sweep show sweep.sqlite --figure steps --figure "fit rms [m]"
 """
 
@@ -166,6 +167,7 @@ def _row_line(row: "TrialRow") -> str:
 
 def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
+    from softcal_jax.plotting import PictureStyle
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
     cli.check_new(*filter(None, (args.csv, args.plot)), force=True)
@@ -178,8 +180,11 @@ def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
             write_sweep_csv(result, args.csv)
             show.line(f"One line per trial in {args.csv}.")
         if args.plot is not None:
-            plot_sweep(result, args.plot, **chosen)
-            show.line(f"Picture in {args.plot}.")
+            width = 1e3 * quantity("--width", args.width, "m")
+            style = PictureStyle(width, args.font_size)
+            left_out = plot_sweep(result, args.plot, **chosen, style=style)
+            more = f"; without {left_out} trials that failed or did not converge"
+            show.line(f"Picture in {args.plot}{more if left_out else ''}.")
 
 
 def add_sweep(commands: "argparse._SubParsersAction") -> None:
@@ -223,7 +228,11 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
     ):
         table.add_argument(flag, metavar=metavar, action="append", help=what)
     table.add_argument("--all", action="store_true", help="one line per trial")
-    cli.add_path(table, "--plot", "FILE", "draw a picture, .png or .svg")
+    cli.add_path(table, "--plot", "FILE", "draw a picture: .pdf, .svg or .png")
+    width = 'width of the picture (default: "88 mm", a column of a journal)'
+    table.add_argument("--width", metavar="LENGTH", default="88 mm", help=width)
+    words = "size of its words, in points (default: 8)"
+    table.add_argument("--font-size", metavar="N", type=float, default=8.0, help=words)
     cli.add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI units")
     cli.add_output(table)
     table.set_defaults(run=show_sweep)

@@ -1,5 +1,11 @@
 """Pictures of results, drawn without a screen."""
 
+from softcal_jax.plotting._calibration import (
+    draw_budget as draw_budget,
+    draw_course as draw_course,
+    draw_errors as draw_errors,
+    draw_workspace as draw_workspace,
+)
 from softcal_jax.plotting._configuration import (
     LABELS as LABELS,
     NOT_CONVERGED as NOT_CONVERGED,
@@ -8,16 +14,24 @@ from softcal_jax.plotting._configuration import (
     render_configuration as render_configuration,
 )
 from softcal_jax.plotting._diagrams import (
+    draw_traces as draw_traces,
+    draw_trials as draw_trials,
+    plot_panels as plot_panels,
     plot_traces as plot_traces,
-    plot_trials as plot_trials,
 )
 from softcal_jax.plotting._fibres import (
+    draw_fibres as draw_fibres,
     plot_directions as plot_directions,
     plot_fibres as plot_fibres,
 )
 from softcal_jax.plotting._figure import (
+    COLUMN as COLUMN,
     DISPLACEMENT_MAP as DISPLACEMENT_MAP,
     MARKS as MARKS,
+    PICTURES as PICTURES,
+    SCREEN as SCREEN,
+    PictureStyle as PictureStyle,
+    printed as printed,
 )
 from softcal_jax.plotting._groups import plot_groups as plot_groups
 from softcal_jax.plotting._obstacles import (

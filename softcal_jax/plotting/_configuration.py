@@ -15,7 +15,13 @@ from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _figure as figures, _robot as robots
-from softcal_jax.plotting._figure import add_axes, add_view, pixel_figure, save
+from softcal_jax.plotting._figure import (
+    SCREEN,
+    PictureStyle,
+    add_axes,
+    add_view,
+    printed,
+)
 from softcal_jax.plotting._obstacles import (
     name_obstacles,
     obstacles_at,
@@ -24,8 +30,9 @@ from softcal_jax.plotting._obstacles import (
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view, fit_body
 
-_WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130  # of all, scale, title, legend [px]
-_LOWEST, _HIGHEST = 420, 900  # limits of the height of the body's part [pixels]
+_SIDE = 190  # width of the scale beside the body [pixels]
+_LOWEST, _HIGHEST = 0.2625, 0.5625  # limits of the height of its part, over the width
+_TALL = 600  # to which a part may rise where the picture is narrow [pixels]
 _MARGIN = 60  # around the body, for marker symbols and names [pixels]
 
 
@@ -35,14 +42,18 @@ def render_configuration(
     path: str | Path,
     *,
     converged: bool = True,
+    titled: bool = True,
+    style: PictureStyle = SCREEN,
 ) -> None:
     """Draw a configuration with its simulated and measured markers.
 
     Args:
         model: The model.
         result: The configuration, calibrated or simulated.
-        path: PNG or SVG file.
+        path: PNG, SVG or PDF file.
         converged: Whether the calibration converged; if not, the picture says so.
+        titled: Whether its name and errors stand above it.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -58,8 +69,8 @@ def render_configuration(
         model,
         result.displacement,
         path,
-        title=result.name + _ROLES[result.role],
-        subtitle=motion_words(result),
+        title=result.name + _ROLES[result.role] if titled else "",
+        subtitle=motion_words(result) if titled else "",
         measured=np.array(measured) if points and fitted else None,
         simulated=np.array([p.simulated for p in points]) if points else None,
         marker_names=[p.name for p in points],
@@ -68,6 +79,7 @@ def render_configuration(
         robot=result.robot,
         sensors=robots.sensor_frames(result),
         posed=result.posed,
+        style=style,
     )
 
 
@@ -113,7 +125,7 @@ def render_body(
     displacement: Float[HostArray, "n_nodes 3"],
     path: str | Path,
     *,
-    title: str,
+    title: str = "",
     subtitle: str = "",
     measured: Float[HostArray, "n_markers 3"] | None = None,
     simulated: Float[HostArray, "n_markers 3"] | None = None,
@@ -123,13 +135,14 @@ def render_body(
     sensors: Sequence[robots.SensorFrame] = (),
     posed: Configuration | None = None,
     labels: tuple[str, str] = LABELS[""],
+    style: PictureStyle = SCREEN,
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
     Args:
         model: The model.
         displacement: Nodal displacement [m].
-        path: PNG or SVG file.
+        path: PNG, SVG or PDF file.
         title: First line.
         subtitle: Second line.
         measured: Measured marker positions; rows with a NaN are left out [m].
@@ -140,6 +153,7 @@ def render_body(
         sensors: Poses of 6-D sensors.
         posed: The configuration, whose supports, dead loads and gravity are drawn.
         labels: What the legend calls `measured` and `simulated`.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -157,49 +171,50 @@ def render_body(
     if posed is not None:
         more += [robots.load_place(load, model.mesh, x)[0] for load in posed.loads]
     gravity = () if posed is None else posed.gravity
-    view = choose_view(model.mesh.points, u, np.vstack(more), gravity)
-    width = _WIDTH - _SIDE
-    scale, height = fit_body(view, width, _MARGIN, _LOWEST, _HIGHEST)
-    largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
+    view = choose_view(model.mesh.points, u, np.vstack(more), gravity, style.seen_from)
+    width = style.pixels - _SIDE
+    lowest, highest = _LOWEST * style.pixels, max(_HIGHEST * style.pixels, _TALL)
+    scale, height = fit_body(view, width, _MARGIN, lowest, highest)
+    largest = float(np.linalg.norm(u, axis=1).max())
     around = [] if robot is None else obstacles_at(model, robot)
-    pixels = body_image(
-        model,
-        u,
-        view,
-        size=(width, height),
-        scale=scale,
-        largest_mm=largest,
-        obstacles=placed_surfaces(model, around),
-    )
-    top = _TOP + (figures.WARNING_HEIGHT if warning else 0)
-    total = height + top + _BOTTOM
-    figure = pixel_figure(_WIDTH, total)
-    body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
-    extent = (*body.get_xlim(), *body.get_ylim())
-    body.imshow(pixels, extent=extent, interpolation="none")
-    drawn = ["at rest"]
-    called: dict[str, str] = dict(zip(("measured", "simulated"), labels, strict=True))
-    for name, points in zip(called, (measured, simulated), strict=True):
-        if np.isfinite(points).all(axis=1).any():
-            drawn.append(name)
-    if {"measured", "simulated"} <= {*drawn}:
-        drawn.append("distance")
-    if model.mechanism.bodies.has_nodes.any():
-        drawn.append("rigid body")
-    if around:
-        drawn.append("obstacle")
-        name_obstacles(body, view, model, around)
-    if posed is not None:
-        drawn += robots.draw_setup(body, view, posed, model.mesh, x)
-    if picture is not None:
-        drawn += robots.draw_robot(body, view, picture)
-    drawn += robots.draw_sensors(body, view, sensors)
-    flat = view.project(measured), view.project(simulated)
-    figures.draw_markers(body, *flat, marker_names)
-    figures.separate_names(body)
-    bar = (_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
-    figures.draw_colour_scale(add_axes(figure, *bar), largest)
-    words = {"title": title, "subtitle": subtitle, "warning": warning}
-    figures.draw_frame(figure, view, scale=scale, top=top, bottom=_BOTTOM, **words)
-    figures.draw_legend(figure, drawn, 62 / total, called)
-    save(figure, path)
+    with printed(path, style, height=height / style.pixels) as figure:
+        pixels = body_image(
+            model,
+            u,
+            view,
+            size=(width, height),
+            scale=scale,
+            largest=largest,
+            finer=style.dpi / figure.dpi,
+            obstacles=placed_surfaces(model, around),
+        )
+        body = add_view(figure, 0, 0, width, height, scale=scale)
+        extent = (*body.get_xlim(), *body.get_ylim())
+        body.imshow(pixels, extent=extent, interpolation="none")
+        drawn = ["at rest"]
+        called: dict[str, str] = dict(
+            zip(("measured", "simulated"), labels, strict=True)
+        )
+        for name, points in zip(called, (measured, simulated), strict=True):
+            if np.isfinite(points).all(axis=1).any():
+                drawn.append(name)
+        if {"measured", "simulated"} <= {*drawn}:
+            drawn.append("distance")
+        if model.mechanism.bodies.has_nodes.any():
+            drawn.append("rigid body")
+        if around:
+            drawn.append("obstacle")
+            name_obstacles(body, view, model, around)
+        if posed is not None:
+            drawn += robots.draw_setup(body, view, posed, model.mesh, x)
+        if picture is not None:
+            drawn += robots.draw_robot(body, view, picture)
+        drawn += robots.draw_sensors(body, view, sensors)
+        flat = view.project(measured), view.project(simulated)
+        figures.draw_markers(body, *flat, marker_names)
+        figures.separate_names(body)
+        bar = (width + 20, 0.06 * height, 28, 0.94 * height - 45)
+        figures.draw_colour_scale(add_axes(figure, *bar), largest)
+        handles = figures.legend_of(drawn, called)
+        words = {"title": title, "subtitle": subtitle, "warning": warning}
+        figures.draw_frame(figure, view, handles, scale=scale, **words)

@@ -1,169 +1,226 @@
 """Diagrams: markers of a recording over time, and trials against axes of a sweep."""
 
-from collections.abc import Mapping, Sequence
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softcal_jax._text import escaped
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import is_number, readable_unit
 from softcal_jax.configurations import Traces
-from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, Axes, save
+from softcal_jax.plotting._calibration import draw_on_bound
+from softcal_jax.plotting._figure import (
+    COLUMN,
+    FAINT,
+    INCH,
+    SCREEN,
+    SERIES,
+    TEXT,
+    Axes,
+    PictureStyle,
+    add_legend,
+    draw_grid,
+    printed,
+)
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")  # light enough for lines above them
 _MOST_NAMES = 14  # markers that get a legend: two for each colour
 _AROUND, _LEAST = 1.0, 3  # time beside a window: in its lengths, at least in frames
-_MOST_LABELS = 12  # groups on an axis whose labels stay horizontal
+_LINE = 1.4 * INCH / 72.0  # height of a line, over the size of its words [mm/pt]
+_MOST_TICKS = 12  # values on an axis, each with its label
 
 
-def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") -> None:
-    """Plot the motion of the markers of a recording, and each window of it close up.
-
-    Close-ups show distances from the mean over the window. A line breaks where its
-    marker was occluded. `name` is that of the configuration.
-    """
-    from matplotlib.figure import Figure
-
-    recording = traces.recording
-    # All that a window is used for is its label.
-    windows: dict[tuple[float, float], str] = {}
-    for what, times in traces.windows.items():
-        windows[times] = f"{windows[times]}, {what}" if times in windows else what
-    shape = (1 + len(windows), 1)
-    figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=DPI, layout="constrained")
-    panels = figure.subplots(*shape, squeeze=False)[:, 0]
-    seen = np.isfinite(recording.positions).all(axis=2)
-    markers = np.arange(len(recording.names))
-    first = recording.positions[np.argmax(seen, axis=0), markers]
-    _draw_distances(panels[0], traces, first)
-    panels[0].set_ylabel("distance from\nthe first frame [mm]", fontsize=14)
-    for k, ((start, stop), label) in enumerate(windows.items()):
-        for panel in panels:
-            colour = _WINDOWS[k % len(_WINDOWS)]
-            # A single frame is drawn as a line.
-            panel.axvspan(start, stop, color=colour, lw=2, zorder=0, label=label)
-    for panel, (start, stop) in zip(panels[1:], windows, strict=True):
-        inside = (recording.times >= start) & (recording.times <= stop)
-        part = recording.positions[inside]
-        mean = np.ma.masked_invalid(part).mean(axis=0).filled(np.nan)
-        columns = _draw_distances(panel, traces, mean)
-        frame = float(np.median(np.diff(recording.times))) if inside.size > 1 else 1.0
-        beside = max(_AROUND * (stop - start), _LEAST * frame)
-        panel.set_xlim(start - beside, stop + beside)
-        # Positions outside the window may be far away, and are cut off.
-        off = np.linalg.norm(part - mean, axis=2)[:, columns]
-        panel.set_ylim(0.0, 3e3 * max(np.nanmax(off, initial=0.0), 1e-6))
-        panel.set_ylabel("distance from the\nmean in the window [mm]", fontsize=14)
-    place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.04)}
-    for text in panels[0].legend(fontsize=12, frameon=False, **place).get_texts():
-        text.set_parse_math(False)  # a label may hold a dollar sign
-    panels[-1].set_xlabel("time [s]", fontsize=14)
-    title = f"{name}: windows taken from {Path(recording.source).name}"
-    style = {"fontsize": 19, "weight": "bold", "color": TEXT, "parse_math": False}
-    figure.suptitle(title, **style)
-    save(figure, path)
-
-
-def _draw_distances(
-    axes: Axes, traces: Traces, origin: Float[HostArray, "n 3"]
-) -> list[int]:
-    """Draw the distance of each marker from an origin; return the markers' columns."""
-    recording, names = traces.recording, traces.names
-    columns = [recording.names.index(name) for name in names]
-    away = 1e3 * np.linalg.norm(recording.positions - origin, axis=2)
-    for i, column in enumerate(columns):
-        axes.plot(
-            recording.times,
-            away[:, column],
-            color=SERIES[i % len(SERIES)],
-            ls="-" if i < len(SERIES) else "--",
-            lw=1.5,
-            label=names[i] if len(names) <= _MOST_NAMES else None,
-        )
-    look = {"fontsize": 11, "color": FAINT, "va": "top", "parse_math": False}
-    where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-    for event, time in recording.events:
-        axes.axvline(time, color=FAINT, ls=":", lw=1.5)
-        place = {**where, "xytext": (3, -3), "annotation_clip": True}
-        axes.annotate(event, (time, 1.0), **place, **look)
-    _draw_grid(axes, 13)
-    return columns
-
-
-def plot_trials(
-    columns: Mapping[str, Sequence[float] | Sequence[str]],
-    figures: Mapping[str, Float[HostArray, " n"]],
+def plot_traces(
+    traces: Traces,
     path: str | Path,
     *,
-    title: str = "",
-    left_out: str = "",
+    name: str = "recording",
+    style: PictureStyle = SCREEN,
 ) -> None:
-    """Plot every figure of some trials against every axis, given as a column.
+    """Plot the motion of the markers of a recording, and each window of it close up.
 
-    Numbers make a scatter; words make groups, each with a bar at its mean. A nan is not
-    drawn. `left_out` says below the title which trials are left out, and why.
-
-    Raises:
-        ValueError: If there is nothing to draw.
+    The file is PNG, SVG or PDF; `name` is that of the configuration.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    if not any(np.isfinite(values).any() for values in figures.values()):
-        raise ValueError("there is nothing to draw: no trial has converged yet.")
-    n_rows, n_columns = shape = len(figures), len(columns)
-    size = (max(8.0, 2.0 + 5.0 * n_columns), 1.2 + 3.0 * n_rows)
-    drawing = Figure(figsize=size, dpi=DPI, layout="constrained")
-    panels = drawing.subplots(*shape, sharex="col", sharey="row", squeeze=False)
-    for row, (label, values) in zip(panels, figures.items(), strict=True):
-        for axes, where in zip(row, columns.values(), strict=True):
-            _draw_trials(axes, where, values)
-        row[0].set_ylabel(escaped(label), fontsize=14, parse_math=False)
-    for axes, name in zip(panels[-1], columns, strict=True):
-        axes.set_xlabel(escaped(name), fontsize=14, parse_math=False)
-    if title:
-        style = {"fontsize": 18, "weight": "bold", "color": TEXT}
-        drawing.suptitle(title, **style, parse_math=False)
-    if left_out:
-        style = {"fontsize": 13, "color": BAD, "loc": "left"}
-        panels[0, 0].set_title(left_out, **style, parse_math=False)
-    if any(isinstance(where[0], str) for where in columns.values()):
-        bar = Line2D([], [], color=SERIES[1], lw=2.5, label="mean")
-        drawing.legend(handles=[bar], loc="upper right", fontsize=13, frameon=False)
-    drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.1)  # pyright: ignore
-    save(drawing, path)
+    windows = None, *dict.fromkeys(traces.windows.values())
+    drawn = [partial(draw_traces, traces=traces, window=window) for window in windows]
+    title = f"{name}: windows taken from {Path(traces.recording.source).name}"
+    plot_panels(path, drawn, style=style, title=title)
 
 
-def _draw_trials(
-    axes: Axes, where: Sequence[Any], values: Float[HostArray, " n"]
-) -> None:
-    _draw_grid(axes, 12)
-    dots = {"ls": "none", "marker": "o", "color": SERIES[0], "alpha": 0.55, "ms": 7}
-    if not any(isinstance(value, str) for value in where):
-        axes.plot(np.asarray(where, float), values, **dots)
+def draw_traces(
+    axes: Axes, traces: Traces, *, window: tuple[float, float] | None = None
+) -> Axes:
+    """Draw the distance of each marker of a recording from its first place over time.
+
+    A line breaks where its marker was occluded. Windows are coloured, events are dotted
+    lines. With a `window` [s], its surroundings are drawn close up, as distances from
+    the mean over it.
+    """
+    recording = traces.recording
+    named: dict[tuple[float, float], str] = {}
+    for what, times in traces.windows.items():
+        named[times] = f"{named[times]}, {what}" if times in named else what
+    for k, ((start, stop), label) in enumerate(named.items()):
+        colour = _WINDOWS[k % len(_WINDOWS)]
+        # A single frame is drawn as a line.
+        axes.axvspan(start, stop, color=colour, zorder=0, label=label)
+    columns = [recording.names.index(name) for name in traces.names]
+    places, times = recording.positions[:, columns], recording.times
+    seen = np.isfinite(places).all(axis=2)
+    origin = places[np.argmax(seen, axis=0), np.arange(len(columns))]
+    what = "first frame"
+    if window is not None:
+        start, stop = window
+        inside = (times >= start) & (times <= stop)
+        what = "mean"
+        origin = np.ma.masked_invalid(places[inside]).mean(axis=0).filled(np.nan)
+        # Positions outside the window may be far away, and are cut off.
+        off = np.linalg.norm(places[inside] - origin, axis=2)
+        axes.set_ylim(0.0, 3e3 * max(np.nanmax(off, initial=0.0), 1e-6))
+        frame = float(np.median(np.diff(times))) if times.size > 1 else 1.0
+        beside = max(_AROUND * (stop - start), _LEAST * frame)
+        axes.set_xlim(start - beside, stop + beside)
+    away = 1e3 * np.linalg.norm(places - origin, axis=2)
+    few = len(columns) <= _MOST_NAMES
+    for i, name in enumerate(traces.names):
+        colour, dashes = SERIES[i % len(SERIES)], "-" if i < len(SERIES) else "--"
+        label = name if few else None
+        axes.plot(times, away[:, i], dashes, color=colour, label=label)
+    look = {"fontsize": "small", "color": FAINT, "va": "top", "parse_math": False}
+    where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    for event, time in recording.events:
+        axes.axvline(time, color=FAINT, ls=":")
+        place = {**where, "xytext": (3, -3), "annotation_clip": True}
+        axes.annotate(event, (time, 1.0), **place, **look)
+    axes.set(xlabel="time [s]", ylabel=f"distance from\n{what} [mm]")
+    return draw_grid(axes)
+
+
+def draw_trials(
+    axes: Axes,
+    where: Sequence[float] | Sequence[str],
+    values: Float[HostArray, " n"],
+    *,
+    axis: str = "",
+    name: str = "",
+    unit: str = "",
+    truth: Float[HostArray, " n"] | None = None,
+    on_bound: Bool[HostArray, " n"] | None = None,
+) -> Axes:
+    """Draw a figure of some trials over their values on an axis: one dot per trial.
+
+    Numbers make a scatter; words make groups, each with a bar at its mean.
+
+    Args:
+        axes: Where to draw; the unit of its ticks is the one that reads best.
+        where: Value of each trial on the axis.
+        values: The figure, in SI; nan is not drawn.
+        axis: Name of the axis.
+        name: Name of the figure.
+        unit: SI unit of the figure.
+        truth: True value of each trial, in SI, as a dashed line; nan where there is
+            none.
+        on_bound: Whether the value stands on a bound: an open square instead of a dot.
+
+    Returns:
+        The axes, with labels for a legend.
+    """
+    truth = np.full(len(values), np.nan) if truth is None else truth
+    on_bound = np.zeros(len(values), bool) if on_bound is None else on_bound
+    factor, shown = readable_unit([*values, *truth], unit)
+    values, truth = factor * values, factor * truth
+    label = f"{escaped(name)} [{shown}]" if shown not in ("", "-") else escaped(name)
+    axes.set_ylabel(label, parse_math=False)
+    axes.set_xlabel(escaped(axis), parse_math=False)
+    draw_grid(axes)
+    spans = {}
+    if all(map(is_number, where)):
+        places = np.asarray(where, float)
         axes.margins(0.06)
         ticks = sorted(set(where))
-        if len(ticks) <= _MOST_LABELS:
+        if len(ticks) <= _MOST_TICKS:
             axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
-        return
-    groups = list(dict.fromkeys(where))
-    labels = [escaped(group) for group in groups]
-    for i, group in enumerate(groups):
-        sample = np.array([v for v, w in zip(values, where, strict=True) if w == group])
-        sample = sample[np.isfinite(sample)]
-        if not sample.size:
-            continue
-        # Spread sideways in order, so that equal values do not hide each other.
-        width = 0.0 if sample.size == 1 else 0.25
-        axes.plot(i + width * np.linspace(-1.0, 1.0, sample.size), sample, **dots)
-        axes.plot([i - 0.35, i + 0.35], [sample.mean()] * 2, color=SERIES[1], lw=2.5)
-    turn = 90 if len(groups) > _MOST_LABELS else 0
-    axes.set_xticks(range(len(groups)), labels, rotation=turn, parse_math=False)
-    axes.set_xlim(-0.6, len(groups) - 0.4)
+        beside = 0.04 * np.ptp(places) or 0.5
+        spans[places.min() - beside, places.max() + beside] = truth
+    else:
+        named = np.array([escaped(str(word)) for word in where])
+        groups, places, means = (
+            list(dict.fromkeys(named.tolist())),
+            np.zeros(len(named)),
+            [],
+        )
+        for i, group in enumerate(groups):
+            members = named == group
+            good = np.flatnonzero(members & np.isfinite(values))
+            # Spread sideways in order, so that equal values do not hide each other.
+            places[good] = i + np.linspace(-0.25, 0.25, good.size) * (good.size > 1)
+            means.append(values[good].mean() if good.size else np.nan)
+            spans[i - 0.4, i + 0.4] = truth[members]
+        left = np.arange(len(groups)) - 0.35
+        axes.hlines(means, left, left + 0.7, color=SERIES[1], label="mean")
+        axes.set_xticks(left + 0.35, groups, parse_math=False)
+        axes.set_xlim(-0.6, len(groups) - 0.4)
+    # One truth of all that stand there, or none.
+    true = {e: t[0] for e, t in spans.items() if np.isfinite(t).all() and not np.ptp(t)}
+    if true:
+        look = {"color": TEXT, "ls": "--", "label": "true value"}
+        axes.hlines(list(true.values()), *np.transpose(list(true)), **look)
+    dots = {"ls": "none", "marker": "o", "color": SERIES[0], "alpha": 0.55, "mew": 0}
+    axes.plot(places[~on_bound], values[~on_bound], **dots)
+    if np.any(np.isfinite(values[on_bound])):
+        draw_on_bound(axes, places[on_bound], values[on_bound])
+    return axes
 
 
-def _draw_grid(axes: Axes, size: float) -> None:
-    axes.grid(True, color="#dddddd", lw=0.8)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=size)
+def plot_panels(
+    path: str | Path,
+    drawn: Sequence[Callable[[Axes], Axes]],
+    *,
+    columns: int = 1,
+    shared: bool = False,
+    lines: float | None = None,
+    style: PictureStyle = COLUMN,
+    title: str = "",
+) -> None:
+    """Write charts as one picture, with one legend.
+
+    Args:
+        path: PNG, SVG or PDF file.
+        drawn: Functions that draw a chart each, row by row.
+        columns: Number of charts beside each other.
+        shared: Whether the charts of a row have one vertical axis, and those of a
+            column one horizontal axis.
+        lines: Height of a chart, in lines of its words; by default as suits its width.
+        style: Width, size of words, resolution.
+        title: Title of the picture.
+    """
+    rows = math.ceil(len(drawn) / columns)
+    line = _LINE * style.font_size
+    tall = lines or np.clip(0.4 * style.width_mm / columns / line, 9.0, 16.0)
+    height = (rows * tall + 3.5 + 2.0 * bool(title)) * line / style.width_mm
+    share: dict[str, Any] = {"sharex": "col", "sharey": "row"} if shared else {}
+    with printed(path, style, height=height) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, **share)
+        for axes, draw in zip(panels.flat, drawn, strict=True):
+            draw(axes)
+            if shared:
+                axes.label_outer()
+        if title:
+            look = {"fontsize": "large", "weight": "bold", "color": TEXT}
+            figure.suptitle(title, **look, parse_math=False)
+        known = [axes.get_legend_handles_labels() for axes in panels.flat]
+        entries = {word: h for pair in known for h, word in zip(*pair, strict=True)}
+        if entries:
+            handles = list(entries.values())
+            add_legend(figure, handles, figure.bbox.width, "outside lower left")
+        figure.align_ylabels()
+        figure.draw_without_rendering()  # which places the words
+        for axes in panels.flat:
+            boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+            if any(a.padded(2.0).overlaps(b) for a, b in itertools.pairwise(boxes)):
+                axes.tick_params(axis="x", labelrotation=90)

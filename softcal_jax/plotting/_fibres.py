@@ -1,6 +1,7 @@
 """Draw fibres: on the surface of a body, or in a layer of a print."""
 
 from collections.abc import Mapping
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Literal
@@ -9,18 +10,18 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
+from softcal_jax.plotting._diagrams import plot_panels
 from softcal_jax.plotting._figure import (
-    DPI,
-    FAINT,
     OUTLINE,
+    SCREEN,
     SERIES,
-    TEXT,
     Axes,
+    PictureStyle,
     add_view,
     draw_control_points,
     draw_frame,
-    pixel_figure,
-    save,
+    in_points,
+    printed,
 )
 from softcal_jax.plotting._view import (
     View,
@@ -30,11 +31,9 @@ from softcal_jax.plotting._view import (
     visible_faces,
 )
 
-_SIZE, _TOP, _BOTTOM = 900, 110, 120  # longer side of the body, above and below it [px]
 _MARGIN = 1.08  # room for the body, over its own width and height
 _DARKEST, _LIGHTEST = 0.72, 0.97  # grey of a face seen from the side, from the front
 _LENGTH, _BREADTH = 0.8, 0.1  # of a line, over the root of twice the area of its face
-_WIDTH, _SIDE = 14.0, 1.6  # of the figure of a layer, and of labels beside it [inches]
 _MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
 _CYCLIC_FROM = np.deg2rad(80.0)  # beyond, +90 and -90 degrees share a colour
 
@@ -46,6 +45,7 @@ def plot_directions(
     *,
     where: Bool[HostArray, " n_tets"] | None = None,
     title: str = "",
+    style: PictureStyle = SCREEN,
 ) -> None:
     """Draw directions of fibres as short lines on the surface of the body at rest.
 
@@ -56,9 +56,10 @@ def plot_directions(
         mesh: The mesh [m].
         families: Name of each family of fibres, and its unit vector in each tet [-], as
             `np.transpose(fibre.direction())` gives it.
-        path: PNG or SVG file.
+        path: PNG, SVG or PDF file.
         where: Tets that have fibres; all by default.
         title: Title of the picture.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         ValueError: If there is no family, or one lacks a vector per tet.
@@ -74,20 +75,21 @@ def plot_directions(
                 f"the family {name!r} needs one vector for each of the {mesh.n_tets} "
                 f"tets, got shape {vectors.shape}."
             )
-    view = choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
+    still, none = np.zeros_like(mesh.points), np.zeros((0, 3))
+    view = choose_view(mesh.points, still, none, seen_from=style.seen_from)
     chosen = np.ones(mesh.n_tets, bool) if where is None else where
     shapes, colours = _drawn(visible_faces(mesh, view), view, families, chosen)
-    width, height, scale = fit_panel(view, _SIZE, _MARGIN)
-    total = height + _TOP + _BOTTOM
-    figure = pixel_figure(width, total)
-    body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
-    body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
-    lines = [Line2D([], [], color=c, lw=4) for c, _ in zip(cycle(SERIES), families)]
-    place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
-    figure.legend(lines, families, fontsize=15, frameon=False, **place)
-    around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    draw_frame(figure, view, **around, title=title)
-    save(figure, path)
+    width, height, scale = fit_panel(view, style.pixels, _MARGIN)
+    with printed(path, style, height=height / style.pixels) as figure:
+        left = (style.pixels - width) // 2
+        body = add_view(figure, left, 0, width, height, scale=scale)
+        faces = PolyCollection(shapes, facecolors=colours, edgecolors="face")
+        body.add_collection(faces)
+        lines = [
+            Line2D([], [], color=colour, label=name, lw=in_points(4.0))
+            for colour, name in zip(cycle(SERIES), families)
+        ]
+        draw_frame(figure, view, lines, scale=scale, title=title)
 
 
 def _drawn(
@@ -132,6 +134,7 @@ def plot_fibres(
     plane: Literal["xy", "xz"],
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     title: str = "",
+    style: PictureStyle = SCREEN,
 ) -> None:
     """Plot angles of the fibre in its print plane, one panel per field.
 
@@ -142,19 +145,15 @@ def plot_fibres(
     Args:
         mesh: The mesh [m].
         panels: Title of each panel, and the angle of each tet [rad].
-        path: PNG file, 1400 pixels wide, or SVG file.
+        path: PNG, SVG or PDF file.
         plane: Print plane, which is the plane of the picture.
         control_points: Positions to mark in every panel [m].
         title: Title of the figure.
+        style: Width, size of words, resolution.
 
     Raises:
         ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
-    import matplotlib
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
-
     if not panels:
         raise ValueError("panels is empty: give at least one field of angles.")
     for name, theta in panels.items():
@@ -163,39 +162,16 @@ def plot_fibres(
                 f"panel {name!r} needs one angle for each of the {len(mesh.tets)} "
                 f"tets, got shape {theta.shape}."
             )
-    columns = [0, "xyz".index(plane[1])]
-    layer = middle_layer(mesh, 3 - sum(columns))
     largest = max(float(np.abs(theta).max()) for theta in panels.values())
-    cyclic = largest > _CYCLIC_FROM
-    limit = 90.0 if cyclic else max(np.rad2deg(largest), 1.0)
-    colours = ScalarMappable(
-        Normalize(-limit, limit), matplotlib.colormaps[_CYCLIC_MAP if cyclic else _MAP]
-    )
-    corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
-    extent = np.ptp(mesh.points[:, columns], axis=0)
+    about = {"plane": plane, "largest": largest, "control_points": control_points}
+    drawn = [
+        partial(draw_fibres, mesh=mesh, theta=theta, title=name, **about)
+        for name, theta in panels.items()
+    ]
+    extent = np.ptp(mesh.points[:, [0, "xyz".index(plane[1])]], axis=0)
     # Stack the panels of a long mesh.
-    stacked = extent[1] <= 0.5 * extent[0]
-    shape = (len(panels), 1) if stacked else (1, len(panels))
-    height = (_WIDTH - _SIDE) / shape[1] * extent[1] / extent[0]
-    size = (_WIDTH, shape[0] * (min(height, 8.0) + 0.75) + 0.9)
-    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-    axes = figure.subplots(*shape, squeeze=False).ravel()
-    for panel, (name, theta) in zip(axes, panels.items(), strict=True):
-        _draw_layer(panel, corners, theta[layer], colours)
-        if control_points is not None:
-            draw_control_points(panel, 1e3 * control_points[:, columns])
-        panel.set_title(name, fontsize=15, parse_math=False)
-        panel.set_ylabel(f"{plane[1]} [mm]", fontsize=13)
-        last = not stacked or panel is axes[-1]
-        panel.tick_params(labelsize=11, labelbottom=last, bottom=last, colors=FAINT)
-        panel.set_xlabel("x [mm]" if last else "", fontsize=13)
-        panel.spines[:].set_visible(False)
-    bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.02)
-    bar.set_label("fibre angle theta [degrees]", fontsize=14, color=TEXT)
-    bar.ax.tick_params(labelsize=12)
-    if title:
-        figure.suptitle(title, fontsize=18, weight="bold", parse_math=False)
-    save(figure, path)
+    columns = 1 if extent[1] <= 0.5 * extent[0] else len(panels)
+    plot_panels(path, drawn, columns=columns, style=style, title=title)
 
 
 def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
@@ -208,31 +184,66 @@ def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
     return np.flatnonzero(cut)
 
 
-def _draw_layer(
+def draw_fibres(
     axes: Axes,
-    corners: Float[HostArray, "n_layer 4 2"],
-    theta: Float[HostArray, " n_layer"],
-    colours,
-) -> None:
+    mesh: TetMesh,
+    theta: Float[HostArray, " n_tets"],
+    *,
+    plane: Literal["xy", "xz"],
+    largest: float | None = None,
+    control_points: Float[HostArray, "n_cp 3"] | None = None,
+    title: str = "",
+) -> Axes:
+    """Draw angles of the fibre in the middle layer of a mesh, as `plot_fibres` does.
+
+    Args:
+        axes: Where to draw.
+        mesh: The mesh [m].
+        theta: Angle of each tet [rad].
+        plane: Print plane.
+        largest: Angle at which the colours end; by default the largest [rad].
+        control_points: Positions to mark [m].
+        title: Title of the axes.
+
+    Returns:
+        The axes, with a colour bar beside them.
+    """
     from matplotlib.collections import LineCollection
 
+    columns = [0, "xyz".index(plane[1])]
+    layer = middle_layer(mesh, 3 - sum(columns))
+    corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
+    largest = float(np.abs(theta).max()) if largest is None else largest
+    cyclic = largest > _CYCLIC_FROM
+    limit = 90.0 if cyclic else max(np.rad2deg(largest), 1.0)
     pairs = [(i, j) for i in range(4) for j in range(i)]
     edges = np.concatenate([corners[:, pair] for pair in pairs])
     edges = np.unique(np.round(np.sort(edges, axis=1), 9), axis=0)
-    axes.add_collection(LineCollection(list(1e3 * edges), colors="#e4e4e4", lw=0.6))
+    axes.add_collection(
+        LineCollection(list(1e3 * edges), colors="#e4e4e4", lw=in_points(0.6))
+    )
     centres = corners.mean(axis=1)
     # As long as the distance between neighbours if they were spread evenly.
     area = np.prod(np.ptp(corners.reshape(-1, 2), axis=0))
     half = 0.5 * np.sqrt(area / len(centres))
-    along = half * np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    along = half * np.stack([np.cos(theta[layer]), np.sin(theta[layer])], axis=1)
     lines = list(1e3 * np.stack([centres - along, centres + along], axis=1))
-    shown = colours.to_rgba(np.rad2deg(theta))
     # A dark line below makes light colours visible on white.
-    axes.add_collection(LineCollection(lines, colors="#303030", lw=2.6))
-    axes.add_collection(LineCollection(lines, colors=list(shown), lw=1.7))
+    axes.add_collection(LineCollection(lines, colors="#303030", lw=in_points(2.6)))
+    look = {"cmap": _CYCLIC_MAP if cyclic else _MAP, "clim": (-limit, limit)}
+    shown = LineCollection(lines, **look, lw=in_points(1.7))
+    shown.set_array(np.rad2deg(theta[layer]))
+    axes.add_collection(shown)
+    axes.figure.colorbar(shown, ax=axes, label="theta [degrees]")
+    axes.set_title(title, parse_math=False)
     low, high = 1e3 * corners.min(axis=(0, 1)), 1e3 * corners.max(axis=(0, 1))
     frame = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
-    axes.plot(*np.transpose([*frame, frame[0]]), color=OUTLINE, lw=1.2)
+    axes.plot(*np.transpose([*frame, frame[0]]), color=OUTLINE, lw=in_points(1.2))
     margin = 0.04 * (high - low).min()
-    axes.set(xlim=(low[0] - margin, high[0] + margin))
-    axes.set(ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+    axes.set(xlim=(low[0] - margin, high[0] + margin), xlabel="x [mm]")
+    axes.set(ylim=(low[1] - margin, high[1] + margin), ylabel=f"{plane[1]} [mm]")
+    axes.set_aspect("equal")
+    axes.spines[:].set_visible(False)
+    if control_points is not None:
+        draw_control_points(axes, 1e3 * control_points[:, columns])
+    return axes

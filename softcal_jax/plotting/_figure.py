@@ -1,6 +1,9 @@
 """Figures: their files, colours and symbols, and what is drawn around a body."""
 
-from collections.abc import Container, Mapping, Sequence
+import math
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,23 +15,124 @@ from softcal_jax.plotting._view import View
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
     from matplotlib.text import Text
 else:  # imported for a picture only, since that takes a while
-    Axes = Figure = Text = Any
+    Axes = Figure = Legend = Text = Any
 
-DPI = 100  # pixels per inch of figures and of the images within them
+INCH = 25.4  # [mm]
+PICTURES = ".png", ".svg", ".pdf"
+"""Endings of files that a picture can be written to."""
+
+_DPI, _WORDS = 100.0, 15.0  # of what is laid out: pixels per inch, size of words [pt]
+_LEAST_WIDTH = 5.0  # of a picture, over the size of its words [mm/pt]
 
 
-def pixel_figure(width: float, height: float) -> Figure:
-    """Make a white figure of a size in pixels."""
+@dataclass(frozen=True)
+class PictureStyle:
+    """Size of a picture on paper or on a screen, and where a body is seen from.
+
+    Attributes:
+        width_mm: Its width [mm].
+        font_size: Size of its words [pt]; lines, symbols and margins go with it.
+        dpi: Pixels per inch of a .png, and of what is an image in a .pdf or .svg.
+        seen_from: Direction from a body towards the viewer, like (1, -1, 0.5); by
+            default across its longest axis and its motion.
+
+    Raises:
+        ValueError: If one is not positive, the words are too large for the width, or
+            `seen_from` is no direction.
+    """
+
+    width_mm: float = 88.0
+    font_size: float = 8.0
+    dpi: float = 300.0
+    seen_from: tuple[float, float, float] | None = None
+
+    def __post_init__(self):
+        least = _LEAST_WIDTH * self.font_size
+        if not (self.width_mm >= least > 0.0 and self.dpi > 0.0):
+            raise ValueError(
+                "a picture needs words and a dpi above 0, and 5 mm of width for each "
+                f"point of its words, got {self}."
+            )
+        if self.seen_from is not None and not np.linalg.norm(self.seen_from) > 0.0:
+            raise ValueError(f"seen_from must be a direction, got {self.seen_from}.")
+
+    @property
+    def pixels(self) -> int:
+        """Width as it is laid out: in pixels, beside words of 15 points."""
+        return round(self.width_mm / INCH * _DPI * _WORDS / self.font_size)
+
+
+COLUMN = PictureStyle()
+"""A column of a journal that has two."""
+
+SCREEN = PictureStyle(16.0 * INCH, _WORDS, _DPI)
+"""1600 pixels, as pages show them."""
+
+
+@contextmanager
+def printed(
+    path: str | Path,
+    style: PictureStyle = COLUMN,
+    *,
+    height: float,
+    software: str = "softcal_jax",
+) -> Iterator[Figure]:
+    """Make a figure to draw into, and write it as PNG, SVG or PDF when the block ends.
+
+    The same figure gives the same file: without a date, and with the same ids. The file
+    names the software that drew it. Words in SVG and PDF are text, in fonts that
+    journals take. The height is given over the width.
+
+    Raises:
+        ValueError: If the path ends in something else.
+    """
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+    suffix = Path(path).suffix.lower()
+    if suffix not in PICTURES:
+        raise ValueError(
+            f"{path} ends in {Path(path).suffix!r}; expected a picture, "
+            f"{', '.join(PICTURES)}."
+        )
+    about: dict[str, Any] = {"Creator": software, "Date": None}
+    if suffix == ".pdf":
+        about = {"Creator": software, "CreationDate": None}
+    elif suffix == ".png":
+        about = {"Software": software}
+    look: Any = {"font.size": style.font_size, **_STYLE}
+    look |= {length: share * style.font_size for length, share in _LENGTHS.items()}
+    with mpl.rc_context(look):
+        inches = style.width_mm / INCH
+        tall = round(inches * height * style.dpi) / style.dpi  # of whole pixels
+        look = {"dpi": _DPI / in_points(1.0), "facecolor": "white"}
+        figure = Figure((inches, tall), **look, layout="constrained")
+        yield figure
+        figure.savefig(path, dpi=style.dpi, format=suffix[1:], metadata=about)
+
+
+_STYLE = {
+    **dict.fromkeys(("axes.labelsize", "axes.titlesize", "legend.fontsize"), "medium"),
+    **{"svg.fonttype": "none", "svg.hashsalt": "softcal_jax", "pdf.fonttype": 42},
+}
+_LENGTHS = {"lines.linewidth": 0.13, "lines.markersize": 0.5, "axes.linewidth": 0.08}
+"""Lengths of charts, over the size of words."""
+
+
+def in_points(length: float) -> float:
+    """Convert a length beside words of 15 points to one beside those of today [pt]."""
+    import matplotlib as mpl
+
+    return length * mpl.rcParams["font.size"] / _WORDS
 
 
 def add_axes(figure: Figure, *box: float) -> Axes:
     """Add axes in a box of pixels: its left, bottom, width and height."""
-    x, y = DPI * figure.get_size_inches()
+    figure.set_layout_engine("none")
+    x, y = figure.dpi * figure.get_size_inches()
     left, bottom, width, height = box
     return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
@@ -40,29 +144,6 @@ def add_view(figure: Figure, *box: float, scale: float) -> Axes:
     axes.set(xlim=(-w, w), ylim=(-h, h))
     axes.set_axis_off()
     return axes
-
-
-def save(figure: Figure, path: str | Path, software: str = "softcal_jax") -> None:
-    """Write a figure as PNG or SVG, according to the ending of the file's name.
-
-    The same figure gives the same file: without a date, and with the same ids. The file
-    names the software that drew it.
-
-    Raises:
-        ValueError: If the name ends in something else.
-    """
-    import matplotlib as mpl
-
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".png", ".svg"):
-        raise ValueError(
-            f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
-        )
-    about = {"Software": software}
-    if suffix == ".svg":
-        about = {"Creator": software, "Date": None}
-    with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
-        figure.savefig(path, dpi=DPI, format=suffix[1:], metadata=about)
 
 
 MEASURED = "#e3001b"
@@ -127,7 +208,18 @@ SYMBOLS: dict[str, dict[str, Any]] = {
 }
 """Styles of lines and points by what they mark, in the order of the legend."""
 
-WARNING_HEIGHT = 60  # of the band above the title [pixels]
+
+def symbol(name: str, **changes: Any) -> dict[str, Any]:
+    """Return a style of `SYMBOLS` for words of this size."""
+    style = {**SYMBOLS[name], **changes}
+    return {
+        k: in_points(v) if k in ("ms", "mew", "lw") else v for k, v in style.items()
+    }
+
+
+WARNING_HEIGHT, _TOP = 60, 130  # of bands above a body: a warning, titles [pixels]
+_CORNER, _LENGTH = 130, 260  # of the axes below it, and of the bar of a length [pixels]
+_COLUMNS = 5  # most columns of its legend
 _MOST_NAMES = 16  # markers that are named; more names would cover each other
 
 
@@ -135,20 +227,20 @@ def halo(width: float):
     """Make a white rim for lines and text, so that they show on any background."""
     from matplotlib import patheffects
 
-    return [patheffects.withStroke(linewidth=width, foreground="white")]
+    return [patheffects.withStroke(linewidth=in_points(width), foreground="white")]
 
 
 def draw_name(axes: Axes, text: str, place, offset, **style) -> None:
-    """Write a name beside a place, at an offset in points."""
-    style = {"fontsize": 15, "color": TEXT, "path_effects": halo(4.0), **style}
-    where = {"xytext": offset, "textcoords": "offset points"}
+    """Write a name beside a place, at an offset in points beside words of 15."""
+    style = {"color": TEXT, "path_effects": halo(4.0), **style}
+    where = {"xytext": tuple(map(in_points, offset)), "textcoords": "offset points"}
     axes.annotate(text, place, **where, **style, parse_math=False)
 
 
 def separate_names(axes: Axes) -> None:
     """Move names up or down until none covers another, and into the axes."""
     frame, placed = axes.get_window_extent(), []
-    points = 72.0 / axes.figure.dpi
+    length = 72.0 / axes.figure.dpi
     from matplotlib.text import Annotation
 
     for text in axes.texts:
@@ -162,7 +254,7 @@ def separate_names(axes: Axes) -> None:
         boxes = [box.translated(-over, way) for way in ways]
         free = (i for i, b in enumerate(boxes) if not any(map(b.overlaps, placed)))
         best = next(free, 0)
-        text.xyann = (x - points * over, y + points * ways[best])
+        text.xyann = (x - length * over, y + length * ways[best])
         placed.append(boxes[best])
 
 
@@ -175,36 +267,16 @@ def draw_markers(
     """Draw rings where markers were measured, crosses where they are simulated."""
     if len(measured) and len(simulated):
         for pair in zip(measured, simulated, strict=True):
-            axes.plot(*np.transpose(pair), **SYMBOLS["distance"])
-    for name, points in (("measured", measured), ("simulated", simulated)):
-        if len(points):
-            axes.plot(*points.T, path_effects=halo(5.0), **SYMBOLS[name])
+            axes.plot(*np.transpose(pair), **symbol("distance"))
+    for name, marked in (("measured", measured), ("simulated", simulated)):
+        if len(marked):
+            axes.plot(*marked.T, path_effects=halo(5.0), **symbol(name))
     if len(names) > _MOST_NAMES:
         return
     places = measured if len(measured) else simulated
     for name, place in zip(names, places, strict=False):
         if np.isfinite(place).all():
             draw_name(axes, name, place, (13, 10))
-
-
-def draw_title(axes: Axes, title: str, subtitle: str, warning: str) -> None:
-    """Draw a title and a line below it, and a warning as a band above."""
-    width, height = axes.get_window_extent().size
-    axes.set(xlim=(0, width), ylim=(height, 0))
-    axes.set_axis_off()
-    top = 0
-    if warning:
-        axes.axhspan(0, WARNING_HEIGHT, color=BAD, lw=0)
-        _line(axes, 0.5 * WARNING_HEIGHT, warning, 20, weight="bold", color="white")
-        top = WARNING_HEIGHT
-    _line(axes, top + 40, title, 23, weight="bold", color=TEXT)
-    _line(axes, top + 90, subtitle, 18, color=TEXT)
-
-
-def _line(axes: Axes, y: float, text: str, size: float, **style):
-    """Draw one line of text, as large as given or as fits the width."""
-    style = {"fontsize": size, "va": "center", "parse_math": False, **style}
-    shrink(axes.text(24, y, text, **style), axes.get_xlim()[1] - 48)
 
 
 def shrink(text: Text, room: float) -> None:
@@ -216,20 +288,14 @@ def shrink(text: Text, room: float) -> None:
         text.set_fontsize(size)
 
 
-def draw_colour_scale(axes: Axes, largest_mm: float) -> None:
-    """Draw the colour scale of the body's displacement."""
-    import matplotlib
+def draw_colour_scale(axes: Axes, largest: float) -> None:
+    """Draw the colour scale of the body's displacement, up to the largest [m]."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colorbar import Colorbar
     from matplotlib.colors import Normalize
 
-    colours = ScalarMappable(
-        Normalize(0.0, largest_mm or 1.0), matplotlib.colormaps[DISPLACEMENT_MAP]
-    )
-    bar = Colorbar(axes, colours)
-    bar.set_label("displacement [mm]", fontsize=17, color=TEXT)
-    bar.ax.tick_params(labelsize=15)
-    bar.ax.set_title(f"max {largest_mm:.3g}", fontsize=15, color=TEXT, pad=10)
+    colours = ScalarMappable(Normalize(0.0, 1e3 * largest or 1.0), DISPLACEMENT_MAP)
+    axes.figure.colorbar(colours, cax=axes, label="displacement [mm]")
+    axes.set_title(f"max {1e3 * largest:.3g}", color=TEXT, pad=in_points(10.0))
 
 
 def draw_triad(axes: Axes, view: View) -> None:
@@ -241,12 +307,10 @@ def draw_triad(axes: Axes, view: View) -> None:
     axes.set_axis_off()
     for i in np.argsort(view.towards):  # draw what points away first
         tip, colour = tips[i], ("#c0392b", "#1e8449", "#1f4fa0")[i]
-        arrow = {"arrowstyle": "-|>", "lw": 2.5, "mutation_scale": 14, "color": colour}
-        arrow |= {"shrinkA": 0, "shrinkB": 0}
-        axes.annotate("", (tip[0], tip[1]), (0.0, 0.0), arrowprops=arrow)
+        draw_arrow(axes, np.zeros(2), tip, colour, width=2.5, head=14.0)
         length = np.linalg.norm(tip)
         away = tip / length * (length + 0.28) if length > 0.1 else np.full(2, 0.2)
-        style = {"fontsize": 15, "color": colour, "weight": "bold"}
+        style = {"color": colour, "weight": "bold"}
         axes.text(away[0], away[1], "xyz"[i], ha="center", va="center", **style)
 
 
@@ -257,27 +321,22 @@ def draw_length_scale(axes: Axes, width: float) -> None:
     power = 10.0 ** np.floor(np.log10(0.6 * width))
     length = max(s * power for s in (1, 2, 5) if s * power <= 0.6 * width)
     right = 0.97 * width
-    axes.plot([right - length, right], [0.25, 0.25], color=TEXT, lw=3)
+    axes.plot([right - length, right], [0.25, 0.25], color=TEXT, lw=in_points(3.0))
     for x in (right - length, right):
-        axes.plot([x, x], [0.12, 0.38], color=TEXT, lw=3)
+        axes.plot([x, x], [0.12, 0.38], color=TEXT, lw=in_points(3.0))
     middle, text = right - 0.5 * length, f"{1e3 * length:g} mm"
-    axes.text(middle, 0.5, text, fontsize=15, color=TEXT, ha="center")
+    axes.text(middle, 0.5, text, color=TEXT, ha="center")
 
 
-def draw_legend(
-    figure: Figure, drawn: Container[str], height: float, labels: Mapping[str, str]
-) -> None:
-    """Explain the drawn `SYMBOLS`, at a height [-]; `labels` replace some names."""
+def legend_of(drawn: Container[str], labels: Mapping[str, str] = {}) -> list[Any]:
+    """List what explains the drawn `SYMBOLS`; `labels` replace some names."""
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D([], [], label=labels.get(name, name), **style)
-        for name, style in SYMBOLS.items()
+    return [
+        Line2D([], [], label=labels.get(name, name), **symbol(name))
+        for name in SYMBOLS
         if name in drawn
     ]
-    place = {"loc": "center left", "bbox_to_anchor": (0.12, height)}
-    style = {"fontsize": 15, "frameon": False, "labelcolor": TEXT, "columnspacing": 1.6}
-    figure.legend(handles=handles, ncols=min(len(handles), 5), **place, **style)
 
 
 def draw_faces(
@@ -286,8 +345,8 @@ def draw_faces(
     corners: Float[HostArray, "n_faces 3 3"],
     colours: Float[HostArray, "n_faces 3"],
 ) -> None:
-    """Draw faces in their order, with edges a little darker; as pixels in SVG."""
-    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
+    """Draw faces in their order, with edges a little darker; as pixels in any file."""
+    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": in_points(0.4)}
     draw_patch(axes, view, corners, **look, rasterized=True)
 
 
@@ -300,17 +359,26 @@ def draw_patch(
     axes.add_collection(PolyCollection(list(view.project(corners)), **look))
 
 
-def draw_arrow(axes: Axes, start, end, colour: str) -> None:
-    """Draw the arrow of a force or of gravity."""
-    look = {"arrowstyle": "-|>", "color": colour, "lw": 3.0, "mutation_scale": 20}
-    look |= {"shrinkA": 0, "shrinkB": 0}
+def draw_arrow(
+    axes: Axes, start, end, colour: str, *, width: float = 3.0, head: float = 20.0
+) -> None:
+    """Draw the arrow of a force, of gravity or of an axis."""
+    look = {"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0}
+    look |= {"lw": in_points(width), "mutation_scale": in_points(head)}
     axes.annotate("", tuple(end), tuple(start), arrowprops=look)
+
+
+def draw_grid(axes: Axes) -> Axes:
+    """Draw a faint grid behind all else."""
+    axes.grid(True, color="#dddddd", lw=axes.spines["left"].get_linewidth())
+    axes.set_axisbelow(True)
+    return axes
 
 
 def draw_control_points(axes: Axes, places: Float[HostArray, "n 2"]) -> None:
     """Mark control points by their numbers, from 1."""
-    axes.plot(*places.T, **SYMBOLS["control point"], clip_on=False, zorder=5)
-    style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
+    axes.plot(*places.T, **symbol("control point"), clip_on=False, zorder=5)
+    style = {"ha": "center", "va": "center", "fontsize": in_points(10.0), "color": TEXT}
     for i, (x, y) in enumerate(places, start=1):
         axes.text(x, y, str(i), **style, zorder=6)
 
@@ -318,20 +386,66 @@ def draw_control_points(axes: Axes, places: Float[HostArray, "n 2"]) -> None:
 def draw_frame(
     figure: Figure,
     view: View,
+    handles: Sequence[Any],
     *,
     scale: float,
-    top: int,
-    bottom: int,
-    title: str,
+    title: str = "",
     subtitle: str = "",
     warning: str = "",
 ) -> None:
-    """Draw what is around a body: titles above, axes and a length below.
+    """Make room around a body: titles above, legend, axes and a length below.
 
-    `scale` is in pixels per metre, the heights above and below in pixels.
+    So far the figure is as high as the body's part. `scale` is in pixels per metre.
     """
-    width, height = DPI * figure.get_size_inches()
-    heading = add_axes(figure, 0, height - top, width, top)
-    draw_title(heading, title, subtitle, warning)
-    draw_triad(add_axes(figure, 20, 5, bottom - 15, bottom - 15), view)
-    draw_length_scale(add_axes(figure, width - 280, 20, 260, 70), 260 / scale)
+    from matplotlib.patches import Rectangle
+
+    width, height = figure.dpi * figure.get_size_inches()
+    length = min(_LENGTH, 0.4 * width)
+    legend = add_legend(figure, handles, width - 1.2 * (_CORNER + length))
+    place, bottom = (1.2 * _CORNER, 0.5 * _CORNER), _CORNER
+    if legend.get_window_extent().height > _CORNER:  # it needs a band of its own
+        legend.remove()
+        legend = add_legend(figure, handles, width)
+        bottom += math.ceil(legend.get_window_extent().height)
+        place = 0.0, 0.5 * (_CORNER + bottom)
+    above = WARNING_HEIGHT * bool(warning)
+    top = above + _TOP * bool(title)
+    total = top + height + bottom
+    drawn = [(axes, axes.get_position().bounds) for axes in figure.axes]
+    figure.set_size_inches(width / figure.dpi, total / figure.dpi)
+    for axes, (left, low, w, h) in drawn:
+        low, h = (bottom + low * height) / total, h * height / total
+        axes.set_position((left, low, w, h))
+    if warning:
+        band = Rectangle((0.0, 1.0), 1.0, -WARNING_HEIGHT / total, color=BAD, lw=0)
+        figure.add_artist(band)
+    bold = {"weight": "bold", "color": TEXT}
+    for words, down, font, look in (
+        (warning, 0.5 * WARNING_HEIGHT, 20.0, {**bold, "color": "white"}),
+        (title, above + 40, 23.0, bold),
+        (subtitle, above + 90, 18.0, {"color": TEXT}),
+    ):
+        fixed: Any = {"fontsize": in_points(font), "va": "center", "parse_math": False}
+        text = figure.text(24 / width, 1.0 - down / total, words, **look, **fixed)
+        shrink(text, width - 48)
+    draw_triad(add_axes(figure, 20, 5, _CORNER - 15, _CORNER - 15), view)
+    corner = width - length - 20, 20, length, 70
+    draw_length_scale(add_axes(figure, *corner), length / scale)
+    legend.set_loc("center left")
+    place = place[0] / width, place[1] / total
+    legend.set_bbox_to_anchor(place, figure.transFigure)
+
+
+def add_legend(
+    figure: Figure, handles: Sequence[Any], room: float, loc: str = "center left"
+) -> Legend:
+    """Add a legend with as many columns as there is room for [pixels], or one."""
+    look = {"handles": handles, "loc": loc, "frameon": False, "labelcolor": TEXT}
+    for columns in range(_COLUMNS, 0, -1):
+        legend = figure.legend(**look, ncols=columns)
+        for text in legend.get_texts():
+            text.set_parse_math(False)  # a name may hold a dollar sign
+        if columns == 1 or legend.get_window_extent().width <= room:
+            return legend
+        legend.remove()
+    raise AssertionError("one column is always taken")

@@ -1,7 +1,7 @@
 """Draw a mesh with its named groups: from the front, from behind, and cut."""
 
 import colorsys
-import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +9,20 @@ import numpy as np
 from softcal_jax._typing import Bool, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures, _view as views
-from softcal_jax.plotting._figure import SERIES, Axes, add_view, pixel_figure, save
+from softcal_jax.plotting._figure import (
+    SCREEN,
+    SERIES,
+    Axes,
+    PictureStyle,
+    add_view,
+    in_points,
+    printed,
+)
 from softcal_jax.plotting._view import View, VisibleFaces
 
 Colour = tuple[float, float, float]
 
-_SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40  # panel, above, below, heading [px]
-_COLUMNS = 2
-_ENTRY = (270, 34)  # width and height of an entry of the legend [pixels]
+_COLUMNS, _HEADING = 2, 40  # of panels; height of a heading [pixels]
 _MARGIN = 1.15  # room for the body and names, over its width and height
 _DARKEST, _PALE = 0.72, 0.25  # brightness seen from the side, share of white in colours
 _PLAIN, _CUT = -1, -2
@@ -30,8 +36,14 @@ _GOLDEN = 0.618  # step around the wheel that keeps any number of colours apart
 _LEAST = 30  # pixels of a group that are seen where its name stands
 
 
-def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
-    """Draw a mesh [m] with every group named and coloured, as a PNG or SVG file.
+def plot_groups(
+    mesh: TetMesh,
+    path: str | Path,
+    *,
+    title: str = "",
+    style: PictureStyle = SCREEN,
+) -> None:
+    """Draw a mesh [m] with every group named and coloured, as PNG, SVG or PDF.
 
     Four panels show it from the front and from behind, and its halves after a cut, with
     the walls of cavities. A face in several groups has the colour of the last; a group
@@ -44,55 +56,53 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     every = faced | mesh.node_groups
     groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
     colours = _colours(len(groups))
-    panels = _panels(mesh)
+    panels = _panels(mesh, style.seen_from)
     front = panels["from the front"][0]
-    width, height, scale = panel = views.fit_panel(front, _SIZE, _MARGIN)
+    each = style.pixels // _COLUMNS
+    panel = width, height, scale = views.fit_panel(front, each, _MARGIN)
     shown = [_faces(mesh, groups, *what) for what in panels.values()]
     every = zip(panels.values(), shown, strict=True)
     images = [_image(view, *what, panel) for (view, _), what in every]
     n = len(groups)
     seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
-    rows = len(panels) // _COLUMNS
-    per_row = max(1, _COLUMNS * width // _ENTRY[0])
-    legend = _ENTRY[1] * math.ceil(len(groups) / per_row)
-    total = _TOP + rows * (height + _HEADING) + legend + _BOTTOM
-    figure = pixel_figure(_COLUMNS * width, total)
-    for k, (heading, (view, drawn)) in enumerate(panels.items()):
-        row, column = divmod(k, _COLUMNS)
-        bottom = total - _TOP - (row + 1) * (height + _HEADING)
-        axes = add_view(figure, column * width, bottom, width, height, scale=scale)
-        axes.set_title(heading, fontsize=16)
-        faces, group = shown[k]
-        # Darker where they are seen from the side.
-        light = _DARKEST + (1.0 - _DARKEST) * faces.light
-        shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
-        figures.draw_faces(axes, view, faces.corners, shades)
-        _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
-        best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
-        for index in np.flatnonzero(best):
-            # Amidst its pixels, and on one of them.
-            places = np.argwhere(images[k] == index)[:, ::-1]
-            off = np.linalg.norm(places - places.mean(axis=0), axis=1)
-            nearest = places[np.argmin(off)] + 0.5
-            place = (nearest - 0.5 * np.array([width, height])) / scale
-            style = {"ha": "center", "va": "center"}
-            figures.draw_name(axes, groups[index], place, (0, 0), **style)
-    names = [
-        f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
-        for k, name in enumerate(groups)
-    ]
-    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
-    place = {"loc": "center", "bbox_to_anchor": (0.5, (_BOTTOM + 0.5 * legend) / total)}
-    look = {"ncols": per_row, "fontsize": 15, "frameon": False}
-    figure.legend(handles=handles, **look, **place)
-    around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    figures.draw_frame(figure, front, **around, title=title)
-    save(figure, path)
+    total = len(panels) // _COLUMNS * (height + _HEADING)
+    with printed(path, style, height=total / style.pixels) as figure:
+        for k, (heading, (view, drawn)) in enumerate(panels.items()):
+            row, column = divmod(k, _COLUMNS)
+            bottom = total - (row + 1) * (height + _HEADING)
+            left = column * each + (each - width) // 2
+            axes = add_view(figure, left, bottom, width, height, scale=scale)
+            axes.set_title(heading)
+            faces, group = shown[k]
+            # Darker where they are seen from the side.
+            light = _DARKEST + (1.0 - _DARKEST) * faces.light
+            shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
+            figures.draw_faces(axes, view, faces.corners, shades)
+            called = dict(zip(groups, colours, strict=True))
+            _draw_nodes(axes, view, mesh, drawn, called)
+            best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
+            for index in np.flatnonzero(best):
+                # Amidst its pixels, and on one of them.
+                places = np.argwhere(images[k] == index)[:, ::-1]
+                off = np.linalg.norm(places - places.mean(axis=0), axis=1)
+                nearest = places[np.argmin(off)] + 0.5
+                place = (nearest - 0.5 * np.array([width, height])) / scale
+                look = {"ha": "center", "va": "center"}
+                figures.draw_name(axes, groups[index], place, (0, 0), **look)
+        names = [
+            f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
+            for k, name in enumerate(groups)
+        ]
+        handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+        figures.draw_frame(figure, front, handles, scale=scale, title=title)
 
 
-def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
+def _panels(
+    mesh: TetMesh, seen_from: Sequence[float] | None = None
+) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
     """Choose the views, and the tets that each shows, by their headings."""
-    front = views.choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
+    still, none = np.zeros_like(mesh.points), np.zeros((0, 3))
+    front = views.choose_view(mesh.points, still, none, seen_from=seen_from)
     behind = front._replace(right=-front.right, towards=-front.towards)
     middle = mesh.points.mean(axis=0)
     axes = np.linalg.svd(mesh.points - middle, full_matrices=False)[2]
@@ -171,6 +181,13 @@ def _draw_nodes(
         if name in faced or not nodes.size:
             continue
         places = view.project(mesh.points[nodes])
-        axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
+        axes.plot(
+            *places.T,
+            "o",
+            ms=in_points(5.0),
+            color=colours[name],
+            mec="black",
+            mew=in_points(0.5),
+        )
         highest = places[np.argmax(places[:, 1])]
         figures.draw_name(axes, name, highest, (0, 14), ha="center")

@@ -140,5 +140,5 @@ def name_obstacles(
         inside &= np.any(flat < 0.55 * half, axis=1)  # gravity is in that corner
         flat = flat[inside] if inside.any() else np.clip(flat, -half, half)
         place = flat[np.argmax(cdist(flat, body).min(axis=1))]
-        style = {"ha": "center", "va": "center", "fontsize": 13, "color": FAINT}
+        style = {"ha": "center", "va": "center", "fontsize": "small", "color": FAINT}
         draw_name(axes, obstacle.name, place, (0, 0), **style)

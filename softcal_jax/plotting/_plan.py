@@ -25,19 +25,21 @@ from softcal_jax.plotting import _figure as figures, _robot as robots, _view as 
 from softcal_jax.plotting._figure import (
     FAINT,
     RIGID,
-    SYMBOLS,
+    SCREEN,
     TEXT,
     Axes,
+    PictureStyle,
     add_view,
-    pixel_figure,
-    save,
+    in_points,
+    printed,
+    symbol,
 )
 from softcal_jax.plotting._obstacles import draw_obstacles, obstacles_at_start
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
 
-_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44  # all, title, legend, heading [px]
+_HEADING = 44  # height of the heading of a panel [pixels]
 _LOWEST, _HIGHEST, _PAGE = 330, 820, 1100  # limits of the height of a panel, of all
 _MARGIN = 80  # room around the body for symbols and their names [pixels]
 _MOST_FIBRES = 400  # fibres that are drawn, in tets at the visible boundary
@@ -51,10 +53,11 @@ def plot_plan(
     configurations: Sequence[Configuration],
     path: str | Path,
     *,
-    title: str,
+    title: str = "",
     subtitle: str = "",
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     software: str = "softcal_jax",
+    style: PictureStyle = SCREEN,
 ) -> None:
     """Draw the body at rest, with all that acts on it and all that is measured.
 
@@ -80,43 +83,47 @@ def plot_plan(
         more += [place for place, _ in _measured(model, points)]
     gravity = shown[0].gravity if shown else ()
     still = np.zeros_like(mesh.points)
-    view = views.choose_view(mesh.points, still, np.vstack(more), gravity)
+    view = views.choose_view(
+        mesh.points, still, np.vstack(more), gravity, style.seen_from
+    )
     n = len(shown)
-    columns = max(range(1, n + 1), key=lambda columns: _fit(view, n, columns)[0])
-    width, rows = _WIDTH // columns, math.ceil(n / columns)
-    scale, height = _fit(view, n, columns)
-    total = _TOP + rows * (height + _HEADING) + _BOTTOM
-    figure = pixel_figure(_WIDTH, total)
+    fit = lambda columns: _fit(view, n, columns, style.pixels)
+    columns = max(range(1, n + 1), key=lambda columns: fit(columns)[0])
+    width, rows = style.pixels // columns, math.ceil(n / columns)
+    scale, height = fit(columns)
+    total = rows * (height + _HEADING)
     faces = views.visible_faces(mesh, view)
     light = _DARK + (_LIGHT - _DARK) * faces.light
     grey = np.repeat(light[:, None], 3, axis=1)
     drawn = {"control point"} if len(numbered) else set()
     if fibres is not None:
         drawn.add("fibre")
-    for k, c in enumerate(shown):
-        row, column = divmod(k, columns)
-        bottom = total - _TOP - (row + 1) * (height + _HEADING)
-        axes = add_view(figure, column * width, bottom, width, height, scale=scale)
-        figures.draw_faces(axes, view, faces.corners, grey)
-        if fibres is not None:
-            _draw_fibres(axes, view, faces, fibres)
-        around = obstacles_at_start(model, lane_of(lanes.arrays.bodies, k))
-        draw_obstacles(axes, view, model, around)
-        drawn |= {"obstacle"} if around else set()
-        drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
-        figures.draw_control_points(axes, view.project(numbered))
-        style = {"fontsize": 16, "color": TEXT, "parse_math": False}
-        figures.shrink(axes.set_title(headings[c.name], **style), width - 40)
-    words = {"title": title, "subtitle": subtitle}
-    figures.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
-    figures.draw_legend(figure, drawn, 70 / total, {})
-    save(figure, path, software=software)
+    ratio = total / style.pixels
+    with printed(path, style, height=ratio, software=software) as figure:
+        for k, c in enumerate(shown):
+            row, column = divmod(k, columns)
+            bottom = total - (row + 1) * (height + _HEADING)
+            box = column * width, bottom, width, height
+            axes = add_view(figure, *box, scale=scale)
+            figures.draw_faces(axes, view, faces.corners, grey)
+            if fibres is not None:
+                _draw_fibres(axes, view, faces, fibres)
+            around = obstacles_at_start(model, lane_of(lanes.arrays.bodies, k))
+            draw_obstacles(axes, view, model, around)
+            drawn |= {"obstacle"} if around else set()
+            drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
+            figures.draw_control_points(axes, view.project(numbered))
+            look = {"color": TEXT, "parse_math": False}
+            figures.shrink(axes.set_title(headings[c.name], **look), width - 40)
+        words = {"title": title, "subtitle": subtitle}
+        handles = figures.legend_of(drawn)
+        figures.draw_frame(figure, view, handles, scale=scale, **words)
 
 
-def _fit(view: views.View, n: int, columns: int) -> tuple[float, int]:
+def _fit(view: views.View, n: int, columns: int, width: int) -> tuple[float, int]:
     """Fit the body into each of n panels, as large as the page allows."""
     highest = max(_LOWEST, min(_HIGHEST, _PAGE // math.ceil(n / columns)))
-    return views.fit_body(view, _WIDTH // columns, _MARGIN, _LOWEST, highest)
+    return views.fit_body(view, width // columns, _MARGIN, _LOWEST, highest)
 
 
 def _measured(
@@ -160,15 +167,15 @@ def _draw_configuration(
     drawn.update(robots.draw_sensors(axes, view, sensors))
     for place, rest in _measured(model, points):
         ends = view.project(np.stack([rest, place]))
-        axes.plot(*ends[1], path_effects=figures.halo(5.0), **SYMBOLS["measured"])
-        axes.plot(*ends.T, **SYMBOLS["distance"])
+        axes.plot(*ends[1], path_effects=figures.halo(5.0), **symbol("measured"))
+        axes.plot(*ends.T, **symbol("distance"))
         drawn.add("measured")
     for p in points:
         flat = view.project(p.at_rest)
-        style = SYMBOLS["point at rest"]
+        style = symbol("point at rest")
         axes.plot(*flat, path_effects=figures.halo(5.0), **style)
         if len(points) <= _MOST_NAMES:
-            figures.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
+            figures.draw_name(axes, p.name, flat, (9, 7), fontsize="small")
         drawn.add("point at rest")
     figures.separate_names(axes)
     return drawn
@@ -181,16 +188,21 @@ def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -
     for k in np.flatnonzero(bodies.has_nodes):
         name, nodes = bodies.names[k], bodies.attached[bodies.body == k]
         covered = faces[np.isin(faces, nodes).all(axis=1)]
-        style = {"facecolor": RIGID, "edgecolor": FAINT, "lw": 0.6, "alpha": 0.75}
+        style = {
+            "facecolor": RIGID,
+            "edgecolor": FAINT,
+            "lw": in_points(0.6),
+            "alpha": 0.75,
+        }
         figures.draw_patch(axes, view, mesh.points[covered], **style)
         flat = view.project(mesh.points[nodes])
         if not len(covered):
-            axes.plot(*flat.T, "o", ms=4, color=FAINT)
+            axes.plot(*flat.T, "o", ms=in_points(4.0), color=FAINT)
         state = c.bodies.get(name)
         kind = state if isinstance(state, str) else getattr(state, "kind", "held")
         text = name if state is None else f"{name} ({kind})"
         place = (flat[:, 0].mean(), flat[:, 1].max())
-        figures.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
+        figures.draw_name(axes, text, place, (0, 9), ha="center", fontsize="small")
 
 
 def _draw_fibres(
@@ -209,4 +221,4 @@ def _draw_fibres(
     some = some[:: max(1, math.ceil(some.size / _MOST_FIBRES))]
     centres, along = faces.corners[some].mean(axis=1), half * fibres[faces.tet[some]]
     lines = view.project(np.stack([centres - along, centres + along], axis=1))
-    axes.add_collection(LineCollection(list(lines), **SYMBOLS["fibre"], alpha=0.8))
+    axes.add_collection(LineCollection(list(lines), **symbol("fibre"), alpha=0.8))

@@ -19,13 +19,14 @@ from softcal_jax.plotting._figure import (
     MEASURED,
     MOTOR,
     SUPPORT,
-    SYMBOLS,
     WALL,
     Axes,
     draw_arrow,
     draw_name,
     draw_patch,
     halo,
+    in_points,
+    symbol,
 )
 from softcal_jax.plotting._view import View
 
@@ -98,7 +99,12 @@ def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
         places = []
         if len(faces):
             drawn.add("wall under pressure")
-            style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
+            style = {
+                "facecolor": WALL,
+                "edgecolor": "white",
+                "lw": in_points(0.4),
+                "alpha": 0.3,
+            }
             draw_patch(axes, view, picture.x[faces], **style)
             places.append(view.project(picture.x[faces]).mean(axis=(0, 1)))
         if len(segments):
@@ -129,7 +135,7 @@ def actuator_words(actuator: ActuatorState) -> str:
 
 
 def _draw_cable(axes, view: View, segments: Float[HostArray, "n 2 3"], *, slack: bool):
-    style = {**SYMBOLS["cable"], "ls": ":" if slack else "-", "marker": "o", "ms": 6}
+    style = symbol("cable", ls=":" if slack else "-", marker="o", ms=6.0)
     for ends in view.project(segments):
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
@@ -140,9 +146,9 @@ def _draw_point(axes, view: View, actuator: ActuatorState, point, arrow):
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
         ends = view.project(np.stack([point - half, point + half]))
-        style = {k: v for k, v in SYMBOLS["motor"].items() if k != "marker"}
+        style = symbol("motor", marker="")
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
-        axes.plot(*view.project(point), "o", color=MOTOR, ms=9)
+        axes.plot(*view.project(point), "o", color=MOTOR, ms=in_points(9.0))
         return view.project(point)
     # The arrow ends where the force acts.
     tail = point - pushes(actuator) * _ARROW * view.width * arrow
@@ -159,7 +165,7 @@ def pushes(actuator: ActuatorState) -> float:
 def draw_sensors(axes: Axes, view: View, frames: Sequence[SensorFrame]) -> list[str]:
     """Draw the axes of 6-D sensors; return what was drawn, for the legend."""
     for frame in frames:
-        style = {**SYMBOLS["sensor's axes"], "solid_capstyle": "round"}
+        style = symbol("sensor's axes", solid_capstyle="round")
         if frame.is_measured:
             style["color"] = MEASURED
         for axis in frame.rotation.T:
@@ -223,7 +229,7 @@ def draw_setup(
         place = view.centre + x * view.right + y * view.up - half
         _draw_arrow(axes, view, place, 2.0 * half, GRAVITY, f"{size:.4g} m/s2")
     else:
-        style = {"fontsize": 13, "color": GRAVITY, "ha": "right"}
+        style = {"fontsize": "small", "color": GRAVITY, "ha": "right"}
         draw_name(axes, "no gravity", 0.95 * corner, (0, 0), **style)
     drawn = ["support"] if configuration.supports else []
     drawn += ["load"] if any(sizes) else []
@@ -241,10 +247,15 @@ def _draw_support(
     nodes = node_indices(mesh, support.where, "a support")
     name = support.name
     if name in mesh.surface_groups:
-        style = {"facecolor": SUPPORT, "edgecolor": "white", "lw": 0.4, "alpha": 0.4}
+        style = {
+            "facecolor": SUPPORT,
+            "edgecolor": "white",
+            "lw": in_points(0.4),
+            "alpha": 0.4,
+        }
         draw_patch(axes, view, x[mesh.faces(name)[:, :3]], **style)
     else:
-        axes.plot(*view.project(x[nodes]).T, **{**SYMBOLS["support"], "ms": 5})
+        axes.plot(*view.project(x[nodes]).T, **symbol("support", ms=5.0))
     text = name if support.axes == "xyz" else f"{name}: {support.axes} held"
     if support.stiffness is not None:
         text += ", elastic"
@@ -252,7 +263,7 @@ def _draw_support(
         text += f", moved by {readable_values(support.displacement, 'm', digits=3)}"
     places = view.project(x[nodes])
     lowest = places[np.argmin(places[:, 1])]
-    style = {"ha": "center", "va": "top", "fontsize": 13, "color": SUPPORT}
+    style = {"ha": "center", "va": "top", "fontsize": "small", "color": SUPPORT}
     draw_name(axes, text, (places[:, 0].mean(), lowest[1]), (0, -8), **style)
 
 
@@ -268,14 +279,16 @@ def _draw_arrow(
     start = view.project(place)
     step = np.array([along @ view.right, along @ view.up])
     if np.linalg.norm(step) < _LEAST * np.linalg.norm(along):
-        axes.plot(*start, "o", ms=13, mfc="none", mec=colour, mew=2.5)
-        axes.plot(*start, "." if along @ view.towards > 0 else "x", ms=8, color=colour)
-        draw_name(axes, text, start, (12, 8), fontsize=13, color=colour)
+        ring = {"ms": in_points(13.0), "mec": colour, "mew": in_points(2.5)}
+        axes.plot(*start, "o", mfc="none", **ring)
+        mark = "." if along @ view.towards > 0 else "x"
+        axes.plot(*start, mark, ms=in_points(8.0), color=colour)
+        draw_name(axes, text, start, (12, 8), fontsize="small", color=colour)
         return
     end = start + step
     draw_arrow(axes, start, end, colour)
     # Towards the middle of the picture, where there is room.
     left = start[0] > 0.0
-    side = {"ha": "right" if left else "left", "va": "center", "fontsize": 13}
+    side = {"ha": "right" if left else "left", "va": "center", "fontsize": "small"}
     where = (-9 if left else 9, 0)
     draw_name(axes, text, 0.5 * (start + end), where, color=colour, **side)

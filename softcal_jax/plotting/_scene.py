@@ -126,17 +126,19 @@ def body_image(
     *,
     size: tuple[int, int],
     scale: float,
-    largest_mm: float,
+    largest: float,
+    finer: float = 1.0,
     obstacles: "Sequence[pyvista.PolyData]" = (),
 ) -> Int[HostArray, "height width 3"]:
     """Draw the deformed body, coloured by displacement, over the outline at rest.
 
-    The size is in pixels, the scale in pixels per metre. Obstacles are half transparent
-    and do not change what is visible.
+    The size is in pixels, the scale in pixels per metre; the image has `finer` times as
+    many of them. The colours end at the largest displacement [m]. Obstacles are half
+    transparent and do not change what is visible.
     """
     import pyvista
 
-    width, height = size
+    width, height = (round(finer * pixels) for pixels in size)
     tessellation, points = tessellate(model.mesh), model.mesh.points
     rigid = rigid_faces(model, tessellation.faces)
     whole = np.ones_like(rigid)
@@ -149,14 +151,14 @@ def body_image(
         try:
             ghost = [
                 plotter.add_mesh(rest, color=_GHOST, lighting=False),
-                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=4.4),
+                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=4.4 * finer),
             ]
             body = [
                 plotter.add_mesh(
                     deformed(~rigid),
                     scalars="displacement",
                     cmap=DISPLACEMENT_MAP,
-                    clim=[0.0, largest_mm or 1.0],
+                    clim=[0.0, largest or 1.0],
                     ambient=0.55,
                     diffuse=0.5,
                     specular=0.05,
@@ -164,7 +166,10 @@ def body_image(
                     **_ROUND,
                 ),
                 plotter.add_mesh(
-                    _edges(deformed(whole)), color="black", opacity=0.55, line_width=3.6
+                    _edges(deformed(whole)),
+                    color="black",
+                    opacity=0.55,
+                    line_width=3.6 * finer,
                 ),
             ]
             if rigid.any():
@@ -179,7 +184,7 @@ def body_image(
             camera.position = tuple(view.centre + distance * view.towards)
             camera.up = tuple(view.up)
             camera.parallel_projection = True
-            camera.parallel_scale = 0.5 * height / scale
+            camera.parallel_scale = 0.5 * size[1] / scale
             plotter.renderer.ResetCameraClippingRange()
             # Draw in layers, since overlapping surfaces would hide parts of each other:
             # the body at rest, the deformed one, obstacles in front of it, and the
@@ -220,7 +225,7 @@ def _surface(
     x = tessellation.interpolate(points) + moved
     triangles = tessellation.triangles[chosen]
     surface = pyvista.PolyData.from_regular_faces(x, triangles)
-    surface.point_data["displacement"] = 1e3 * np.linalg.norm(moved, axis=1)
+    surface.point_data["displacement"] = np.linalg.norm(moved, axis=1)
     return surface
 
 

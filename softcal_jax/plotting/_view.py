@@ -31,7 +31,7 @@ class View(NamedTuple):
 
 
 def fit_body(
-    view: View, width: int, margin: int, lowest: int, highest: int
+    view: View, width: int, margin: int, lowest: float, highest: float
 ) -> tuple[float, int]:
     """Fit a body to a width: compute pixels per metre, and the height in pixels."""
     scale = (width - 2 * margin) / view.width
@@ -55,11 +55,13 @@ def choose_view(
     displacement: Float[HostArray, "n_nodes 3"],
     more: Float[HostArray, "n 3"],
     gravity: Sequence[float] | Float[HostArray, "3"] = (0.0, 0.0, -1.0),
+    seen_from: Sequence[float] | None = None,
 ) -> View:
     """Look across the plane of longest axis and motion, slightly from above.
 
     The part that moves most is on the right, nearer to the viewer, and gravity points
-    down. Points of `more`, like markers, are visible too.
+    down. Points of `more`, like markers, are visible too. With `seen_from`, a direction
+    towards the viewer, it is seen from there.
     """
     above = _unit(-np.asarray(gravity, float)) if np.any(gravity) else np.eye(3)[2]
     centred = points - points.mean(axis=0)
@@ -72,7 +74,8 @@ def choose_view(
     if np.linalg.norm(motion) < 0.3:  # no motion, or along the axis
         upright = abs(axis @ above) > 0.9
         motion = across if upright else above - (axis @ above) * axis
-    normal = _unit(np.cross(axis, motion))
+    normal = np.cross(axis, motion) if seen_from is None else np.array(seen_from, float)
+    normal = _unit(normal)
     vertical = above
     if abs(normal @ above) >= 0.9:  # seen from above
         vertical = np.eye(3)[1 if abs(normal[1]) < 0.9 else 2]
@@ -81,10 +84,12 @@ def choose_view(
     side = weight @ (centred @ right)
     if side <= 1e-6 * weight.sum() * np.ptp(centred @ right):
         side = right[np.argmax(np.abs(right))]  # undecided: let the axis point right
-    if side < 0:
-        normal, right = -normal, -right
-    # Turn a little, so that the far end and the top are visible too.
-    towards = _unit(normal + np.tan(_AZIMUTH) * right + np.tan(_ELEVATION) * vertical)
+    towards = normal
+    if seen_from is None:
+        way = np.sign(side)
+        # Turn a little, so that the far end and the top are visible too.
+        turn = np.tan(_AZIMUTH) * way * right + np.tan(_ELEVATION) * vertical
+        towards = _unit(way * normal + turn)
     right = _unit(np.cross(vertical, towards))
     up = np.cross(towards, right)
     seen = np.concatenate([points, points + displacement, more])

@@ -6,8 +6,9 @@ import html
 import os
 import re
 import shlex
+import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -16,9 +17,11 @@ from typing import Any, NamedTuple
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
+from softcal_jax.plotting import PictureStyle
 from softcal_jax.report import _verdict
 
 MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
+CHART = PictureStyle(width_mm=150.0, font_size=10.0)
 REPEATED = "repeated"  # folder that the command to repeat a run writes to
 _LARGE = 3  # most values that are written in large type
 _KINDS = {
@@ -26,6 +29,7 @@ _KINDS = {
     ".pvd": "all configurations for ParaView",
     ".png": "picture",
     ".svg": "picture",
+    ".pdf": "picture",
     ".csv": "table",
     ".txt": "text",
     ".html": "this page",
@@ -154,6 +158,14 @@ def picture(path: Path, alt: str) -> Html:
     kind = "svg+xml" if path.suffix == ".svg" else "png"
     content = base64.b64encode(path.read_bytes()).decode()
     return node("img", src=f"data:image/{kind};base64,{content}", alt=alt)
+
+
+def chart(plot: Callable[[Path], Any], what: str, caption: str) -> Html:
+    """Draw a chart of `plotting` into the page, with what it is in bold above it."""
+    with tempfile.TemporaryDirectory() as folder:
+        plot(path := Path(folder) / "chart.svg")
+        drawn = node("div", picture(path, what), class_="chart")
+    return figure(drawn, caption, title=what)
 
 
 def figure(content: Html, caption: str, *, title: str = "") -> Html:

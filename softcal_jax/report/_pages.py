@@ -10,7 +10,9 @@ from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.report import _charts, _tables
+from softcal_jax.plotting import PICTURES
+from softcal_jax.report import _tables
+from softcal_jax.report._charts import budget_chart, error_charts
 from softcal_jax.report._goals import (
     design_tables,
     design_verdict,
@@ -50,18 +52,20 @@ _MARKED = "A triangle marks values that should not be used as they are."
 def calibration_page(
     result: CalibrationResult,
     assessment: Assessment,
+    charts: Sequence[list[Html]],
     data: Mapping[str, Any],
     folder: Path,
     view: PageView | None = None,
 ) -> str:
-    """Write the page of a calibration from its index and the pictures in a folder."""
+    """Write the page of a calibration from its index, its charts and a folder."""
     fits, outlook = result.configurations, assessment.identifiability
     agreement = result.checks.agreement if result.checks else ()
     known = _tables.outlook_table(assessment), _tables.outlook_legend(outlook)
-    course = [*_charts.course_charts(result), _tables.history_table(result)]
+    errors, budget, course = charts
+    course = [*course, _tables.history_table(result)]
     sections = [
-        Section("errors", "Residuals", _errors(result, assessment)),
-        Section("parameters", "Parameters", _parameters(result, assessment)),
+        Section("errors", "Residuals", [*_errors(result, assessment), *errors]),
+        Section("parameters", "Parameters", _parameters(result, assessment) + budget),
         Section("data", "What the data determine", [*_blindness(outlook), *known]),
         Section("agreement", "Each recording fitted alone", [bullets(agreement)]),
         Section("notes", "Notes", [bullets(data["notes"])]),
@@ -152,12 +156,8 @@ def _subject(result: CalibrationResult, assessment: Assessment) -> TextTable:
 def _errors(result: CalibrationResult, assessment: Assessment) -> list[Part]:
     """Show how far the model is off, before and after."""
     fits = result.configurations
-    listed = listed_fits(fits)
-    charts = _charts.error_chart(listed)
-    if len(listed) < len(fits):
-        charts += _charts.workspace_chart(fits)
     tables = _tables.error_tables(fits, result.checks)
-    return [*held_out_sentences(fits), assessment.prediction or "", *charts, *tables]
+    return [*held_out_sentences(fits), assessment.prediction or "", *tables]
 
 
 def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Part]:
@@ -165,8 +165,7 @@ def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Part]
     marked = any(cell.tone == "bad" for row in values.rows for cell in row)
     tables = [values, *_tables.interval_tables(result), _tables.budget_table(result)]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    legend = _MARKED if marked else ""
-    return [legend, *tables, *_charts.budget_chart(result), *starts]
+    return [_MARKED if marked else "", *tables, *starts]
 
 
 def _blindness(outlook: Identifiability) -> list[Part]:
@@ -224,16 +223,16 @@ def pictures_of(
     for entry in data["configurations"]:
         posed, role = entry["name"], ROLES.get(entry.get("role", ""), "simulated")
         for path in (folder / name for name in entry["files"]):
-            if path.suffix not in (".png", ".svg"):
+            if path.suffix not in PICTURES:
                 continue
             caption = f"{posed} ({role}): the deformed body, coloured by displacement"
             is_recording = path.stem.endswith("_recording")
             if is_recording:
                 caption = f"{posed}: the recording of the markers over time"
             left -= path.stat().st_size
-            if left < 0:
+            if left < 0 or path.suffix == ".pdf":  # which no page can show
                 link = node("a", path.name, href=path.name)
-                text = "to keep the page small, this picture is a separate file, "
+                text = "this picture is a separate file, "
                 drawn = node("p", f"{caption}; {text}", link, ".")
             else:
                 drawn = figure(picture(path, caption), f"{caption}.")
@@ -317,7 +316,8 @@ def notebook_html(result: object) -> Html:
         case CalibrationResult():
             assessment = assess(result)
             values = _tables.parameter_table(result, assessment.identifiability)
-            errors = [*_errors(result, assessment), *_charts.budget_chart(result)]
+            charts = [*error_charts(result.configurations), *budget_chart(result)]
+            errors = [*_errors(result, assessment), *charts]
             content = [values, *errors, bullets(result.notes)]
             return output(verdict_of(assessment), content)
         case Assessment():

@@ -1,25 +1,23 @@
 """The page of a sweep, beside its database."""
 
 import os
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from softcal_jax import sweeps
 from softcal_jax._places import replacing
 from softcal_jax.export import file_dict, made_dict
-from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
+    CHART,
     REPEATED,
     Html,
     Part,
     Section,
     bullets,
+    chart,
     closing,
-    figure,
     node,
     page,
-    picture,
 )
 from softcal_jax.report._verdict import RunVerdict
 
@@ -103,8 +101,11 @@ def _sweep_page(
         spread = ["No trial has converged: there is nothing to average."]
     if (table := sweeps.spread_table(result)).rows:
         spread = [table]
-    named = enumerate(sweeps.swept_axes(result, figures[:MOST_CHARTED]))
-    axes = [Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)]) for k, axis in named]
+    swept, varied = sweeps.swept(result, figures[:MOST_CHARTED])
+    axes = [
+        Section(f"axis{k}", f"By {axis}", [_drawn(result, axis, varied)])
+        for k, axis in enumerate(swept if varied else ())
+    ]
     again = f"{REPEATED}.sqlite"
     sections = [
         Section("notes", "Notes", [bullets(sweeps.notes_of_trials(result))]),
@@ -123,13 +124,12 @@ def _sweep_page(
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
-def _drawn(axis: sweeps.SweptAxis) -> Html:
-    """Draw the trials over an axis, as `softcal sweep plot` does."""
-    what = f"{', '.join(axis.figures)} over {axis.name}"
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "trials.svg"
-        plot_trials({axis.name: axis.values}, axis.figures, path)
-        return figure(picture(path, what), f"{what}: one dot per trial.")
+def _drawn(result: sweeps.SweepResult, axis: str, figures: Sequence[str]) -> Html:
+    """Draw the trials over an axis, as `softcal sweep show` does."""
+    heads = [sweeps.readable_figure(result, figure)[1] for figure in figures]
+    about = {"by": [axis], "figures": figures, "style": CHART}
+    plot = lambda path: sweeps.plot_sweep(result, path, **about)
+    return chart(plot, f"{', '.join(heads)} over {axis}", "One dot per trial.")
 
 
 def _trials(result: sweeps.SweepResult, figures: tuple[str, ...]) -> list[Part]:

@@ -21,12 +21,13 @@ from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
 from softcal_jax.project import Project, printed_project
 from softcal_jax.report import _pages
+from softcal_jax.report._charts import budget_chart, course_charts, error_charts
 from softcal_jax.report._goals import commanded, design_dict
 from softcal_jax.report._view import PageView, body_view
 
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
-Picture = Literal["png", "svg"]
-"""Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
+Picture = Literal["png", "svg", "pdf"]
+"""Formats of pictures. In SVG and PDF, lines and words are drawn, bodies are images."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of pictures drawn so far, and the number of all."""
@@ -82,7 +83,9 @@ def write_results(
     data = export.result_dict(
         result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
     )
-    page = partial(_pages.calibration_page, result, assessment)
+    errors = error_charts(result.configurations)
+    charts = errors, budget_chart(result), course_charts(result)
+    page = partial(_pages.calibration_page, result, assessment, charts)
     drawn = {"traces": traces, "suffix": pictures, "progress": progress}
     return _write(result, data, directory, page, force=force, **drawn)
 

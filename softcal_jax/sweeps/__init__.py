@@ -14,15 +14,15 @@ from softcal_jax.sweeps._row import (
 )
 from softcal_jax.sweeps._run import run_part as run_part, run_sweep as run_sweep
 from softcal_jax.sweeps._tables import (
-    SweptAxis as SweptAxis,
     best_trials as best_trials,
     doubts as doubts,
     figures_of_the_robot as figures_of_the_robot,
     notes_of_trials as notes_of_trials,
     plot_sweep as plot_sweep,
+    readable_figure as readable_figure,
     spread_table as spread_table,
     sweep_table as sweep_table,
-    swept_axes as swept_axes,
+    swept as swept,
     tabulated as tabulated,
     varied_table as varied_table,
     write_sweep_csv as write_sweep_csv,

@@ -18,7 +18,7 @@ from softcal_jax.fields import ParameterSpace, random_starts
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
 from softcal_jax.robots import synthetic_measurements
-from softcal_jax.sweeps._row import Outcome
+from softcal_jax.sweeps._row import ON_BOUND, TO_TRUTH, Outcome
 from softcal_jax.sweeps._trial import Trial
 
 OWN_AXES = ("layout", "configurations", "start", "noise")
@@ -80,9 +80,7 @@ class CalibrationTrial:
         if self.truth and not self.layouts.get(trial.point.get("layout", "")):
             truth = truth_in_si(space, self.truth)
             z = space.to_scaled(jnp.asarray([truth[name] for name in space.names]))
-            figures["distance to truth [-]"] = float(
-                jnp.max(jnp.abs(space.shorter(result.z - z)))
-            )
+            figures[TO_TRUTH] = float(jnp.max(jnp.abs(space.shorter(result.z - z))))
         return Outcome(figures, result.converged, why_not(result), result.notes)
 
     def variant(self, point: Mapping[str, Any]) -> Project:
@@ -227,6 +225,8 @@ def _figures(result: CalibrationResult) -> dict[str, Any]:
     figures |= {_STEPS: len(result.history) - 1, _COST: last.cost}
     for q in result.parameters:
         figures[f"{_ERROR} {q.name} [{q.unit or '-'}]"] = q.standard_error
+    if bound := [q.name for q in result.parameters if q.at_bound]:
+        figures[ON_BOUND] = "; ".join(bound)
     return figures
 
 

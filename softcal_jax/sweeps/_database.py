@@ -179,6 +179,7 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
         file.execute("BEGIN")
         _check_format(file, path)
         texts = dict(file.execute("SELECT what, value FROM sweep"))
+        texts |= file.execute("SELECT * FROM definitions WHERE what = 'truth'")
         plan = dict(file.execute("SELECT key, point FROM plan ORDER BY number"))
         rows = file.execute(
             f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
@@ -197,6 +198,7 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
             planned=_Read(path, plan, lambda text: of_axes(json.loads(text))),
             states={key: row[_OF_STATE] for key, row in ended.items()},
             ended=_Read(path, ended, lambda stored: _row(stored, of_axes)),
+            truth=json.loads(texts.get("truth", "{}")),
         )
 
 

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, get_args
 
@@ -12,7 +12,8 @@ import numpy as np
 from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import is_number
-from softcal_jax.sweeps._row import State, TrialRow
+from softcal_jax.project import parse_in_si
+from softcal_jax.sweeps._row import TO_TRUTH, State, TrialRow
 from softcal_jax.sweeps._trial import describe
 
 
@@ -57,6 +58,7 @@ class SweepResult:
         states: How trials ended, by key, in the order of the plan; trials that only an
             earlier plan had come last.
         ended: Rows of these trials, by key in the same order.
+        truth: Values that measurements were simulated with, as the sweep file has them.
     """
 
     name: str
@@ -65,6 +67,7 @@ class SweepResult:
     planned: Mapping[str, Mapping[str, Any]]
     states: Mapping[str, State]
     ended: Mapping[str, TrialRow]
+    truth: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def rows(self) -> tuple[TrialRow, ...]:
@@ -95,6 +98,17 @@ class SweepResult:
             ValueError: If no row has a figure of that name.
         """
         return _numbers(self.rows, self.figure(figure))
+
+    def true_values(self, figure: str) -> Float[HostArray, " n"]:
+        """Return what the truth says of a figure in each row, in SI; nan if nothing.
+
+        It says nothing of other layouts of control points than its own.
+        """
+        name, unit = figure_name(figure)
+        known = np.array([TO_TRUTH in row.figures for row in self.rows], bool)
+        if name not in self.truth:
+            return np.full(known.shape, np.nan)
+        return np.where(known, parse_in_si(self.truth[name], unit.strip("-")), np.nan)
 
     def figure(self, name: str) -> str:
         """Return the full name of a figure, like "fit rms [m]" for "fit rms".

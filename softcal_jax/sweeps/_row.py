@@ -23,6 +23,8 @@ State = Literal["converged", "not converged", "failed"]
 
 Figure = bool | float | int | str | None
 
+TO_TRUTH = "distance to truth [-]"  # a figure of trials to which the truth applies
+ON_BOUND = "on a bound"  # a figure in words: parameters that ended on one of theirs
 OUT_OF_RANGE = "out of range"  # a figure that no sweep writes, like 1e400
 WINDOW = 50  # number of recent trials over which the rate is averaged
 

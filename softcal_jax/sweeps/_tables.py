@@ -2,9 +2,10 @@
 
 import csv
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.console import Group as Printed
@@ -15,10 +16,15 @@ from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import is_number
 from softcal_jax.export import readable_estimate, readable_unit
-from softcal_jax.plotting import plot_trials
+from softcal_jax.plotting import (
+    COLUMN,
+    PictureStyle,
+    draw_trials,
+    plot_panels,
+)
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
-from softcal_jax.sweeps._row import OUT_OF_RANGE, TrialRow, flat_columns
+from softcal_jax.sweeps._row import ON_BOUND, OUT_OF_RANGE, TrialRow, flat_columns
 from softcal_jax.sweeps._trial import describe, shown
 
 ROUNDING = 1e-9
@@ -188,46 +194,46 @@ def plot_sweep(
     *,
     by: Sequence[str] | None = None,
     figures: Sequence[str] | None = None,
-) -> None:
+    style: PictureStyle = COLUMN,
+) -> int:
     """Plot the figures of all trials that converged against the axes.
+
+    A dashed line is the true value, where the sweep states it; an open square stands on
+    a bound.
 
     Args:
         result: The sweep.
-        path: PNG file.
+        path: PNG, SVG or PDF file.
         by: The axes; by default all but repetitions.
         figures: Names of figures; by default the first that are numbers.
+        style: Width, size of words, resolution.
+
+    Returns:
+        The number of trials that are left out, as they failed or did not converge.
 
     Raises:
         ValueError: If there is no such axis or figure, or no trial has converged.
     """
-    rows, panels = result.rows, {}
-    for figure in _chosen(result, figures, MOST_PANELS):
-        factor, label = readable_figure(result, figure)
-        panels[label] = factor * figure_values(rows, figure)
-    columns = {axis: _places(rows, axis) for axis in result.grouping(by)}
+    rows, chosen = result.rows, _chosen(result, figures, MOST_PANELS)
     good = len(result.of_state("converged"))
-    lost = len(rows) - good
-    plot_trials(
-        columns or {"": ["all"] * len(rows)},
-        panels,
-        path,
-        title=f"{result.name}: {good} trials",
-        left_out=f"{lost} more failed or did not converge" if lost else "",
-    )
-
-
-class SweptAxis(NamedTuple):
-    """An axis with more than one value, and figures of the trials that converged.
-
-    Attributes:
-        name: Its name.
-        values: The value of each trial, as numbers if all are, else in words.
-        figures: Figures that vary, by names with readable units; nan where missing.
-    """
-
-    name: str
-    values: Sequence[float] | Sequence[str]
-    figures: Mapping[str, Float[HostArray, " n"]]
+    if not good or not chosen:
+        raise ValueError("there is nothing to draw: no trial has converged yet.")
+    columns = {axis: _places(rows, axis) for axis in result.grouping(by)}
+    columns = columns or {"": ["all"] * len(rows)}
+    drawn, bound = [], [str(row.figures.get(ON_BOUND)) for row in rows]
+    for figure in chosen:
+        name, unit = figure_name(figure)
+        about = {
+            "values": figure_values(rows, figure),
+            "name": name,
+            "unit": unit,
+            "truth": result.true_values(figure),
+            "on_bound": np.array([name in b.split("; ") for b in bound]),
+        }
+        for axis, where in columns.items():
+            drawn.append(partial(draw_trials, where=where, axis=axis, **about))
+    plot_panels(path, drawn, columns=len(columns), shared=True, style=style)
+    return len(rows) - good
 
 
 def figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
@@ -312,15 +318,11 @@ def spread_table(result: SweepResult) -> TextTable:
     return text_table("Figures of the trials", head, rows)
 
 
-def swept_axes(result: SweepResult, figures: Sequence[str]) -> Iterator[SweptAxis]:
-    """Yield values and figures to draw, for each axis on which there is any to see."""
-    good, drawn = result.of_state("converged"), {}
-    for figure in figures:
-        factor, label = readable_figure(result, figure)
-        values = factor * figure_values(good, figure)
-        if np.nanmax(values) > np.nanmin(values):  # else there is nothing to see
-            drawn[label] = values
-    for axis in result.axes:
-        where = _places(good, axis)
-        if drawn and len(set(where)) > 1:
-            yield SweptAxis(axis, where, drawn)
+def swept(result: SweepResult, figures: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return axes and figures of which the trials that converged have several values.
+
+    Of others, there is nothing to see in a chart.
+    """
+    good = result.of_state("converged")
+    axes = [a for a in result.axes if len({shown(row.point[a]) for row in good}) > 1]
+    return axes, [f for f in figures if np.ptp(result.numbers(f)) > 0.0]

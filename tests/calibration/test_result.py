@@ -10,6 +10,7 @@ from export.handmade import (
     make_simulation,
     small_model,
 )
+from matplotlib.figure import Figure
 from wording import says
 
 from softcal_jax.calibration import ConfigurationResult
@@ -17,9 +18,10 @@ from softcal_jax.calibration._configuration_result import configuration_results
 from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 from softcal_jax.identifiability import assess
+from softcal_jax.plotting import draw_errors
 from softcal_jax.plotting._configuration import motion_words
 from softcal_jax.report import held_out_sentences
-from softcal_jax.report._charts import error_chart, workspace_chart
+from softcal_jax.report._charts import error_charts
 from softcal_jax.sensitivity import Response
 from softcal_jax.sweeps._calibration import HELD_OUT, _figures
 
@@ -121,6 +123,8 @@ def test_a_pose_without_measured_points_has_no_distance():
     result = make_result(model=model, fits=[fit, held_out])
     assert result.missed == 0.0
     assert assess(result).predictions == assess(make_result(fits=[fit])).predictions
-    assert "bare" not in str(error_chart(result.configurations))
-    assert "nan" not in str(workspace_chart(result.configurations))
+    axes = draw_errors(Figure().subplots(), result.configurations)
+    assert [word.get_text() for word in axes.get_yticklabels()] == [fit.name]
+    (chart,) = error_charts(result.configurations)
+    assert "nan" not in chart
     assert "nan" not in str(result)

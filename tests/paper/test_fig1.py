@@ -39,4 +39,4 @@ def test_a_larger_exponent_changes_more_abruptly():
 def test_picture(tmp_path):
     outcome = paper_fig1.run(Options(tmp_path, lambda _: None))
     assert outcome.figures["theta_quarter_p2_deg"] == pytest.approx(-28.0)
-    assert imread(tmp_path / "fig1.png").shape[1] == 1400
+    assert imread(tmp_path / "fig1.png").shape[1] == 1600

@@ -80,7 +80,7 @@ def test_layers_cover_white_and_each_other():
     model = small_model()
     u = sag(model.mesh)
     view = choose_view(model.mesh.points, u, np.zeros((0, 3)))
-    look = {"size": (600, 400), "scale": 300.0 / view.width, "largest_mm": 30.0}
+    look = {"size": (600, 400), "scale": 300.0 / view.width, "largest": 0.03}
     image = _scene.body_image(model, u, view, **look)
     assert image.min() >= 0
     assert image.max() == 255

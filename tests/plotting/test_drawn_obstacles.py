@@ -118,7 +118,7 @@ class TestPictures:
 
         def middle(*obstacles):
             """The colour of the body's middle, where the probe is in the way."""
-            shown = {"size": (300, 200), "scale": 2500.0, "largest_mm": 1.0}
+            shown = {"size": (300, 200), "scale": 2500.0, "largest": 1e-3}
             surfaces = _obstacles.placed_surfaces(model, obstacles)
             image = body_image(model, rest, view, **shown, obstacles=surfaces)
             return image[90:110, 140:160].mean(axis=(0, 1))
@@ -144,13 +144,11 @@ class TestPictures:
 
         monkeypatch.setattr(_configuration, "body_image", note)
         legends = []
-        legend = _configuration.figures.draw_legend
+        legend_of = _configuration.figures.legend_of
         monkeypatch.setattr(
             _configuration.figures,
-            "draw_legend",
-            lambda figure, drawn, *rest: (
-                legends.append(drawn) or legend(figure, drawn, *rest)
-            ),
+            "legend_of",
+            lambda drawn, *rest: legends.append(drawn) or legend_of(drawn, *rest),
         )
         for present in ((), ("probe", "table")):
             fit = pressed(model, present=present)

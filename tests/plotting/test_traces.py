@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from softcal_jax.configurations import Recording, Traces
-from softcal_jax.plotting import _diagrams, plot_traces
+from softcal_jax.plotting import draw_traces, plot_traces
 
 
 def traces(*, names=("tip", "base"), windows=None):
@@ -21,17 +22,8 @@ def traces(*, names=("tip", "base"), windows=None):
     return Traces(recording, windows, names)
 
 
-@pytest.fixture
-def figure_of(monkeypatch):
-    """Draw, and return the figure instead of writing it."""
-    figures = []
-    monkeypatch.setattr(_diagrams, "save", lambda figure, _: figures.append(figure))
-
-    def draw(shown):
-        plot_traces(shown, "a.png", name="pose 1")
-        return figures.pop()
-
-    return draw
+def drawn(shown, window=None):
+    return draw_traces(Figure().subplots(), shown, window=window)
 
 
 def line(axes, label):
@@ -39,8 +31,8 @@ def line(axes, label):
     return curve.get_xydata()
 
 
-def test_distances_and_gaps(figure_of):
-    whole, close = figure_of(traces()).axes
+def test_distances_and_gaps():
+    whole, close = drawn(traces()), drawn(traces(), (6.0, 8.0))
     rising = line(whole, "tip")
     seen = np.isfinite(rising[:, 1])
     assert np.flatnonzero(~seen).tolist() == [40, 41]
@@ -52,25 +44,27 @@ def test_distances_and_gaps(figure_of):
     np.testing.assert_allclose(rising[:, 1], np.abs(rising[:, 0] - 7.0), atol=1e-12)
 
 
-def test_windows_and_events(figure_of):
+def test_windows_and_events(tmp_path):
     windows = {
         "select": (6.0, 8.0),
         "displacement_from": (0.0, 1.0),
         "registration.select": (0.0, 1.0),
     }
-    figure = figure_of(traces(windows=windows))
-    whole, *close = figure.axes
-    assert len(close) == 2
+    whole = drawn(traces(windows=windows))
     spans = {p.get_label(): p.get_extents() for p in whole.patches}
     assert set(spans) == {"select", "displacement_from, registration.select"}
-    figure.canvas.draw()
-    drawn = whole.transData.inverted().transform(whole.patches[0].get_extents())
-    np.testing.assert_allclose(drawn[:, 0], [6.0, 8.0], atol=1e-6)
+    ends = whole.transData.inverted().transform(whole.patches[0].get_extents())
+    np.testing.assert_allclose(ends[:, 0], [6.0, 8.0], atol=1e-6)
     assert any(text.get_text() == "valve" for text in whole.texts)
-    assert "run.c3d" in figure.get_suptitle()
+    path = tmp_path / "a.svg"
+    plot_traces(traces(windows=windows), path, name="pose 1")
+    words = path.read_text()
+    assert "pose 1: windows taken from run.c3d" in words
+    # The whole, and each of two windows close up.
+    assert (words.count(">first frame [mm]<"), words.count(">mean [mm]<")) == (1, 2)
 
 
 @pytest.mark.parametrize("windows", [{"select": (3.0, 3.0)}, {"select": (4.0, 4.1)}])
 def test_a_single_frame_and_one_that_sees_nothing(tmp_path, windows):
     plot_traces(traces(windows=windows), tmp_path / "a.png", name="a $ b")
-    assert imread(tmp_path / "a.png").shape[1] == 1200
+    assert imread(tmp_path / "a.png").shape[1] == 1600
