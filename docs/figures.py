@@ -6,6 +6,7 @@ Emio, a pose is drawn that was held out; with the word "robots" only these are.
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,15 @@ import numpy as np
 
 import softcal_jax as sc
 from softcal_jax.identifiability import Identifiability
-from softcal_jax.plotting import render_configuration
-from softcal_jax.plotting._figure import BAD, DPI, FAINT, GOOD, SERIES, TEXT, save
-from softcal_jax.report._charts import budget_chart, course_charts
-from softcal_jax.report._html import fragment
+from softcal_jax.plotting import (
+    PictureStyle,
+    draw_budget,
+    draw_course,
+    plot_panels,
+    printed,
+    render_configuration,
+)
+from softcal_jax.plotting._figure import BAD, FAINT, GOOD, SERIES, TEXT
 from softcal_jax.robots import ready_made_path, silicone_beam_path
 
 if TYPE_CHECKING:
@@ -31,7 +37,7 @@ FOLDER = Path(__file__).with_name("guide") / "figures"
 ROBOTS = {"tentacle": "m2_018", "emio": "pose 163"}
 """Ready-made robots, and the poses of which pictures go to the evidence."""
 
-FIGURES = ("budget.html", "course.html", "one_pose_or_two.png")
+FIGURES = ("budget.svg", "course.svg", "one_pose_or_two.png")
 """What `draw` writes."""
 
 LENGTH, WIDTH = 0.150, 0.015
@@ -43,16 +49,23 @@ E_TRUE, STD = 300e3, 5e-4
 BOUNDS = (75e3, 1.2e6)
 """Bounds of both moduli, and of the axes [Pa]."""
 
+CHART = PictureStyle(width_mm=190.0, font_size=10.0)
+"""Of the charts."""
+
 COLOURS = {"identifiable": GOOD, "not identifiable": BAD}
 
 
 def draw(folder: Path) -> None:
-    """Write all figures into a folder: charts as the page has them, and a picture."""
+    """Write all figures into a folder: two charts of the page, and a picture."""
     folder.mkdir(parents=True, exist_ok=True)
     result = sc.load_project(silicone_beam_path()).calibrate()
-    charts = {"budget": budget_chart(result), "course": course_charts(result)}
-    for name, content in charts.items():
-        (folder / f"{name}.html").write_text(f"{fragment(content)}\n", "utf-8")
+    courses = [
+        partial(draw_course, result=result, name=name)
+        for name in ("rms", "lambda_p", "E")
+    ]
+    budget = [partial(draw_budget, result=result)]
+    plot_panels(folder / "course.svg", courses, columns=3, style=CHART)
+    plot_panels(folder / "budget.svg", budget, lines=4.0, style=CHART)
     picture = folder / "one_pose_or_two.png"
     draw_regions(outlooks_by_poses(), picture)
     picture.write_bytes(small(picture.read_bytes()))
@@ -98,20 +111,18 @@ def outlooks_by_poses() -> dict[str, Identifiability]:
 
 def draw_regions(outlooks: dict[str, Identifiability], path: Path) -> None:
     """Draw the region of the two moduli that the data leave open, for each outlook."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 5.6), dpi=DPI, layout="constrained")
-    panels = figure.subplots(1, len(outlooks), sharex=True, sharey=True)
-    for axes, (title, found) in zip(panels, outlooks.items(), strict=True):
-        _draw_region(axes, found)
-        colour = COLOURS[found.verdict]
-        r = found.correlation[0, 1]
-        text = f"{title}\n{found.verdict}, correlation {r:.3f}"
-        axes.set_title(text, fontsize=14, color=colour, weight="bold")
-        axes.set_xlabel("E at the left end [kPa]", fontsize=14)
-    panels[0].set_ylabel("E at the right end [kPa]", fontsize=14)
-    panels[-1].legend(fontsize=12, frameon=False, loc="lower left")
-    save(figure, path)
+    style = PictureStyle(width_mm=254.0, font_size=14.0, dpi=100.0)
+    with printed(path, style, height=0.56) as figure:
+        panels = figure.subplots(1, len(outlooks), sharex=True, sharey=True)
+        for axes, (title, found) in zip(panels, outlooks.items(), strict=True):
+            _draw_region(axes, found)
+            colour = COLOURS[found.verdict]
+            r = found.correlation[0, 1]
+            text = f"{title}\n{found.verdict}, correlation {r:.3f}"
+            axes.set_title(text, color=colour, weight="bold")
+            axes.set_xlabel("E at the left end [kPa]")
+        panels[0].set_ylabel("E at the right end [kPa]")
+        panels[-1].legend(fontsize=12, frameon=False, loc="lower left")
 
 
 def _draw_region(axes: "matplotlib.axes.Axes", found: Identifiability) -> None:
