@@ -135,6 +135,8 @@ def draw_course(
         if not math.isclose(before.noise_level, entry.noise_level):
             middle = 0.5 * (before.step + entry.step)
             axes.axvline(middle, color=TEXT, ls=":", label="noise estimated anew")
+    if q is None and name != "lambda_p":
+        axes.set_ylim(bottom=0.0)
     if truth is not None:
         axes.axhline(factor * truth, color=TEXT, ls="--", label="true value")
     if q is not None and q.at_bound:

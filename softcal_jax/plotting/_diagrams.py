@@ -199,6 +199,8 @@ def plot_panels(
         style: Width, size of words, resolution.
         title: Title of the picture.
     """
+    from matplotlib.ticker import FixedLocator as Fixed
+
     rows = math.ceil(len(drawn) / columns)
     line = _LINE * style.font_size
     tall = lines or np.clip(0.4 * style.width_mm / columns / line, 9.0, 16.0)
@@ -219,8 +221,12 @@ def plot_panels(
             handles = list(entries.values())
             add_legend(figure, handles, figure.bbox.width, "outside lower left")
         figure.align_ylabels()
-        figure.draw_without_rendering()  # which places the words
-        for axes in panels.flat:
+        named = [
+            a for a in panels.flat if isinstance(a.xaxis.get_major_locator(), Fixed)
+        ]
+        if named:
+            figure.draw_without_rendering()  # which places the words
+        for axes in named:
             boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
             if any(a.padded(2.0).overlaps(b) for a, b in itertools.pairwise(boxes)):
                 axes.tick_params(axis="x", labelrotation=90)

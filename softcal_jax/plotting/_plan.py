@@ -188,12 +188,7 @@ def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -
     for k in np.flatnonzero(bodies.has_nodes):
         name, nodes = bodies.names[k], bodies.attached[bodies.body == k]
         covered = faces[np.isin(faces, nodes).all(axis=1)]
-        style = {
-            "facecolor": RIGID,
-            "edgecolor": FAINT,
-            "lw": in_points(0.6),
-            "alpha": 0.75,
-        }
+        style = {"facecolor": RIGID, "edgecolor": FAINT, "alpha": 0.75}
         figures.draw_patch(axes, view, mesh.points[covered], **style)
         flat = view.project(mesh.points[nodes])
         if not len(covered):

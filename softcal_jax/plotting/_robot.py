@@ -99,12 +99,7 @@ def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
         places = []
         if len(faces):
             drawn.add("wall under pressure")
-            style = {
-                "facecolor": WALL,
-                "edgecolor": "white",
-                "lw": in_points(0.4),
-                "alpha": 0.3,
-            }
+            style = {"facecolor": WALL, "edgecolor": "white", "alpha": 0.3}
             draw_patch(axes, view, picture.x[faces], **style)
             places.append(view.project(picture.x[faces]).mean(axis=(0, 1)))
         if len(segments):
@@ -247,12 +242,7 @@ def _draw_support(
     nodes = node_indices(mesh, support.where, "a support")
     name = support.name
     if name in mesh.surface_groups:
-        style = {
-            "facecolor": SUPPORT,
-            "edgecolor": "white",
-            "lw": in_points(0.4),
-            "alpha": 0.4,
-        }
+        style = {"facecolor": SUPPORT, "edgecolor": "white", "alpha": 0.4}
         draw_patch(axes, view, x[mesh.faces(name)[:, :3]], **style)
     else:
         axes.plot(*view.project(x[nodes]).T, **symbol("support", ms=5.0))

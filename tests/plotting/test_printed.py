@@ -67,7 +67,7 @@ def test_other_endings_and_sizes_are_refused(tmp_path):
             PictureStyle(**wrong)
         ((name, value),) = wrong.items()
         assert f"{name}={value}" in str(error.value)
-    for direction in ((0.0, 0.0, 0.0), (np.nan, 1.0, 0.0)):
+    for direction in ((0.0, 0.0, 0.0), (np.nan, 1.0, 0.0), (1.0, 1.0)):
         with pytest.raises(ValueError, match="seen_from must be a direction"):
             PictureStyle(seen_from=direction)
 
