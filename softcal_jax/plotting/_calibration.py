@@ -39,8 +39,8 @@ def draw_errors(axes: Axes, fits: Sequence[ConfigurationResult]) -> Axes:
     rows = np.arange(len(shown))
     axes.hlines(rows, before, after, color=SERIES[0])
     axes.vlines(motion, rows - 0.3, rows + 0.3, color=TEXT, label="motion")
-    axes.plot(before, rows, **_OPEN, label="before the fit")
-    axes.plot(after, rows, "o", color=SERIES[0], label="after it")
+    axes.plot(before, rows, **_OPEN, clip_on=False, label="before the fit")
+    axes.plot(after, rows, "o", color=SERIES[0], clip_on=False, label="after it")
     names = [f"{f.name}{' (held out)' * (f.role == 'validation')}" for f in shown]
     axes.set_yticks(rows, list(map(escaped, names)), parse_math=False)
     axes.set(ylim=(len(shown) - 0.4, -0.6), xlabel=f"rms distance [{unit}]")
