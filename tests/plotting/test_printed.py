@@ -59,7 +59,7 @@ def test_a_picture_is_as_wide_as_stated_with_words_of_that_size(tmp_path, plot, 
     assert imread(tmp_path / "a.png").shape[1] == pytest.approx(pixels, abs=1.0)
 
 
-def test_other_endings_and_sizes_are_refused(tmp_path):
+def test_other_endings_and_sizes_are_refused(tmp_path, unchecked):
     with pytest.raises(ValueError, match=r"a.jpg ends in '.jpg'; .*\.pdf"):
         chart(tmp_path / "a.jpg", COLUMN)
     for wrong in ({"width_mm": 30.0}, {"font_size": 0.0}, {"dpi": -1.0}):
