@@ -53,8 +53,9 @@ class PictureStyle:
         least = _LEAST_WIDTH * self.font_size
         if not (self.width_mm >= least > 0.0 and self.dpi > 0.0):
             raise ValueError(
-                "a picture needs words and a dpi above 0, and 5 mm of width for each "
-                f"point of its words, got {self}."
+                "width_mm must be at least 5 times font_size, and font_size and dpi "
+                f"above 0; got width_mm={self.width_mm}, font_size={self.font_size}, "
+                f"dpi={self.dpi}."
             )
         seen = (0.0, 0.0, 1.0) if self.seen_from is None else self.seen_from
         if np.shape(seen) != (3,) or not 0.0 < np.linalg.norm(seen) < np.inf:

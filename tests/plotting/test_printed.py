@@ -63,7 +63,7 @@ def test_other_endings_and_sizes_are_refused(tmp_path, unchecked):
     with pytest.raises(ValueError, match=r"a.jpg ends in '.jpg'; .*\.pdf"):
         chart(tmp_path / "a.jpg", COLUMN)
     for wrong in ({"width_mm": 30.0}, {"font_size": 0.0}, {"dpi": -1.0}):
-        with pytest.raises(ValueError, match="5 mm of width") as error:
+        with pytest.raises(ValueError, match="at least 5 times") as error:
             PictureStyle(**wrong)
         ((name, value),) = wrong.items()
         assert f"{name}={value}" in str(error.value)
