@@ -1,5 +1,7 @@
 """`softcal new`: ready-made robots, and projects for a mesh, with markers or none."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from ready_made import FINGER_E, PAD_E, ordered_robot
@@ -7,10 +9,13 @@ from recordings import motion, write_recording
 from wording import says
 
 from softcal_jax.cli import main
+from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal import propose_project
+from softcal_jax.exchange.proposal._body import read_body
 from softcal_jax.identifiability import assess
-from softcal_jax.mesh import beam, node_indices, write_mesh
+from softcal_jax.mesh import TetMesh, beam, face_areas, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
+from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
@@ -321,6 +326,107 @@ def test_a_cad_model(tmp_path):
     (support,) = project.calibration[0].supports
     held = node_indices(project.model.mesh, support.where, "a support")
     np.testing.assert_allclose(project.model.mesh.points[held][:, 0], 0.0, atol=1e-9)
+
+
+def test_cavities_and_long_holes_of_a_cad_model_are_actuated(tmp_path, capsys):
+    """An open chamber and a tendon, each driven by its column; a screw hole is none."""
+    models = pytest.importorskip("exchange.cad.cad_models")
+    with models.modelled(tmp_path / "finger.step") as shape:
+        shape.addBox(0, 0, 0, 60, 15, 15)
+        parts = (
+            shape.addBox(-1, 4, 8, 55, 7, 4),
+            shape.addCylinder(-1, 7, 3, 62, 0, 0, 1),
+        )
+        screw = shape.addCylinder(57, 3, -1, 0, 0, 6, 1.5)
+        shape.cut([(3, 1)], [(3, part) for part in (*parts, screw)])
+    table = tmp_path / "poses.csv"
+    rows = ["pose,air (kPa),tension_N,marker,x_mm,y_mm,z_mm"]
+    for pose, acting, z in (("a", "0,0", 7), ("b", "12.5,0", 5), ("c", "0,0.5", 9)):
+        rows.append(f"{pose},{acting},tip,60,10,{z}")
+    table.write_text("\n".join(rows))
+    options = "--model", tmp_path / "finger.step", "--size", "5 mm", "--markers", table
+    assert new(tmp_path / "mine", *options) == 0
+    text = capsys.readouterr().out
+    assert says(
+        text, "Chamber: air, an open cavity (faces", "Cable: cable, a long round"
+    )
+    project = loaded(tmp_path / "mine")
+    imposed = [
+        {name: asked.value for name, asked in c.actuation.items()}
+        for c in project.configurations
+    ]
+    assert imposed == [{}, {"air": 12.5e3, "cable": 0.0}, {"air": 0.0, "cable": 0.5}]
+    assert not any(c.loads for c in project.configurations)
+    air, cable = project.model.mechanism.actuators.names
+    assert (air, cable) == ("air", "cable")
+    remarks = {g.text.split(" = ")[0]: g.remark for g in guesses_left(project.path)}
+    assert says(remarks["guides"], "axis", "face ")
+    assert says(remarks["[groups.air_wall]"], "open cavity (faces")
+    assert says(remarks["[groups.air_opening]"], "opens (face 1)")
+    assert says(remarks["surface"], "open cavity (faces")
+    actuators = tomllib.loads(project.path.read_text())["actuators"]
+    guides = [parse_vector(guide, LENGTH) for guide in actuators["cable"]["guides"]]
+    x, *across = 1e3 * np.transpose(guides)
+    np.testing.assert_allclose(across, np.repeat([[7.0], [3.0]], len(x), 1), atol=0.01)
+    np.testing.assert_allclose(sorted(x)[:: len(x) - 1], [1.0, 59.0], atol=0.05)
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+def test_a_cavity_of_a_mesh_is_inflated_by_what_poses_are_called(tmp_path, is_open):
+    whole = beam(0.06, 0.02, 0.02, (12, 4, 4))
+    off = np.abs(whole.centroids - [0.03, 0.01, 0.01])
+    kept = (off > [0.02, 0.005, 0.005]).any(axis=1)
+    if is_open:
+        kept &= (whole.centroids[:, 0] > 0.02) | (off[:, 1:] > 0.005).any(axis=1)
+    used, tets = np.unique(whole.tets[kept], return_inverse=True)
+    hollow = TetMesh(whole.points[used], tets.reshape(-1, 4).astype(np.int32))
+    write_mesh(hollow, tmp_path / "body.msh", length_unit="mm")
+    table = write_rows(tmp_path / "poses.csv", poses=("no load", "at_15kPa"))
+    made = propose_project(tmp_path / "body.msh", tmp_path / "mine", recordings=[table])
+    assert made.chambers == {"air_wall": is_open}
+    project = loaded(tmp_path / "mine")
+    assert project.configurations[1].actuation["air"].value == pytest.approx(15e3)
+    walls = project.model.mesh.surface_groups["air_wall"]
+    area = face_areas(project.model.mesh, walls)[0].sum()
+    sides = 4 * 0.01 * (0.05 if is_open else 0.04) + (1 if is_open else 2) * 1e-4
+    assert area == pytest.approx(sides)
+
+
+@pytest.mark.parametrize(
+    ("stated", "load"),
+    [("0,5 N", 0.5), ("mass 50 g", 0.050 * STANDARD_GRAVITY), ("15 kPa", None)],
+)
+def test_a_force_or_mass_without_a_cable_hangs_on_the_tip(tmp_path, body, stated, load):
+    (tmp_path / "poses.csv").write_text(
+        f"pose;marker;x_mm;y_mm;z_mm\nrest;tip;60;10;10\n{stated};tip;60;10;8"
+    )
+    propose_project(body, tmp_path / "mine", recordings=[tmp_path / "poses.csv"])
+    (acting,) = loaded(tmp_path / "mine").configurations[1].loads
+    text = (tmp_path / "mine/project.toml").read_text()
+    assert ("by the column pose" in text) == (load is not None)
+    # A pressure has nothing to inflate: the weight of the beam is guessed, as ever.
+    down = 0.3 if load is None else load
+    assert acting.force == pytest.approx((0.0, 0.0, -down), rel=1e-3)
+
+
+def test_two_tets_across_the_thinnest_wall_are_proposed(tmp_path):
+    """With what they cost; and as for bending where every wall is thick."""
+    models = pytest.importorskip("exchange.cad.cad_models")
+    with models.modelled(tmp_path / "thin.step") as shape:
+        shape.addBox(0, 0, 0, 30, 8, 8)
+        shape.cut([(3, 1)], [(3, shape.addBox(3, 2.8, 2.5, 24, 2.4, 2.5))])
+    with models.modelled(tmp_path / "thick.step") as shape:
+        shape.addBox(0, 0, 0, 30, 8, 8)
+    thin, thick = (
+        read_body(tmp_path / name, size=None, length_unit=None)
+        for name in ("thin.step", "thick.step")
+    )
+    assert thin.size == "1.2 mm"
+    assert says(
+        thin.why, "thinnest wall, at face ... 2.5 mm", f"{thin.mesh.n_tets} tets"
+    )
+    assert thick.size == "1.6 mm"
+    assert "wall" not in thick.why
 
 
 def test_nothing_is_overwritten(tmp_path, body, capsys):

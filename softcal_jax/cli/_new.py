@@ -96,9 +96,10 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
     held = "an end of the body" if findings.held.definition else "by its name"
     yield f"Held: {findings.held.group}, {held}."
-    for group, is_open in findings.chambers.items():
-        rim = ", sealed at its rim" if is_open else ""
-        yield f"Chamber: {group}, by its name{rim}."
+    for one in findings.actuated:
+        kind = "Chamber" if one.group else "Cable"
+        rim = ", sealed at its rim" if one.is_open else ""
+        yield f"{kind}: {one.name}, {one.why}{rim}."
     if recorded is None:
         yield (
             "There are no readings yet: `softcal identify` and `softcal simulate` run; "

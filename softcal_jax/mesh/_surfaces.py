@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -73,11 +75,7 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
         ValueError: If the point is not on the surface, or on the border of faces.
     """
     surface = _FaceGraph(mesh)
-    labels = surface.parts(SHARP)
-    for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
-        rows = surface.rows(mesh.faces(name))
-        labels[rows[rows >= 0]] = -1 - k
-    return surface.part_at(np.asarray(point, float), labels)
+    return surface.part_at(np.asarray(point, float), surface.body_faces())
 
 
 def select_cavity(
@@ -115,6 +113,65 @@ def select_cavity(
     return surface.faces[chosen]
 
 
+class Cavity(NamedTuple):
+    """The wall of a cavity, the faces of the body that it opens in, its volume [m3]."""
+
+    wall: Int[HostArray, "n n_fn"]
+    openings: tuple[Int[HostArray, "_ n_fn"], ...]
+    volume: float
+
+
+def find_cavities(mesh: TetMesh) -> list[Cavity]:
+    """Find what is cut off from the surface of the body, and has a void on its inside.
+
+    A closed cavity is; the wall of an open one is once a face of the body (see
+    `select_face`) in which it opens is taken away, or two of them.
+    """
+    surface = _FaceGraph(mesh)
+    of_face = np.unique(surface.body_faces(), return_inverse=True)[1].ravel()
+    pairs = np.unique(of_face[surface.sides // 3], axis=0)
+    n, whole = int(of_face.max()) + 1, 0
+    beside = [np.unique(pairs[(pairs == k).any(axis=1)]).tolist() for k in range(n)]
+    both = sorted({two for near in beside for two in combinations(near, 2)})
+    found: dict[frozenset[int], Cavity] = {}
+    for cut in ((), *((k,) for k in range(n)), *both):
+        ends = pairs[~np.isin(pairs, cut).any(axis=1)].T
+        joined = coo_array((np.ones(len(ends[0])), tuple(ends)), (n, n))
+        count, labels = connected_components(joined, directed=False)
+        whole = whole or count
+        if cut and count == whole + len(cut):  # nothing is cut off
+            continue
+        for label in {*labels.tolist()} - {*labels[[*cut]].tolist()}:
+            wall = frozenset(np.flatnonzero(labels == label).tolist())
+            if any(wall <= other for other in found):
+                continue
+            chosen = np.isin(of_face, [*wall])
+            volume = surface.void(chosen)
+            if volume > (_ROUNDING * mesh.size) * mesh.size**2:
+                openings = tuple(surface.faces[of_face == k] for k in cut)
+                found = {w: cavity for w, cavity in found.items() if not w < wall}
+                found[wall] = Cavity(surface.faces[chosen], openings, volume)
+    return [*found.values()]
+
+
+def distances_along(
+    corners: Float[HostArray, "n_faces 3 3"],
+    point: Float[HostArray, "3"],
+    rays: Float[HostArray, "3 n_rays"],
+) -> Float[HostArray, "n_faces n_rays"]:
+    """Compute how far from a point rays meet the outer side of triangles, else inf [m].
+
+    Rays are unit vectors in columns.
+    """
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    normals = np.cross(b - a, c - a)
+    tiny = 1e-9 * np.ptp(corners, axis=(0, 1)).max() ** 2
+    # A ray meets a triangle if it passes all three sides on their inner side.
+    passed = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)]) @ rays
+    away = np.sum(a * normals, axis=1)[:, None] / np.minimum(normals @ rays, -tiny)
+    return np.where((passed.max(axis=0) > tiny) | (away < 0.0), np.inf, away)
+
+
 def ring_around(
     mesh: TetMesh, point: Float[HostArray, "3"]
 ) -> tuple[Int[HostArray, " n"], Float[HostArray, " n"]] | None:
@@ -130,17 +187,15 @@ def ring_around(
     seen = -seen_from(corners, point)
     # The rim of a channel and a face beside it, seen edge-on, do not count.
     faces, corners, seen = (x[seen > _ROUNDING] for x in (faces, corners, seen))
+    if not len(faces):
+        return None
     a, b, c = np.moveaxis(corners - point, 1, 0)
     normals = np.cross(b - a, c - a)
     weights = seen / np.sum(normals**2, axis=1)
     across = np.linalg.eigh((normals.T * weights) @ normals)[1][:, 1:]
     turn = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
-    rays, tiny = across @ [np.cos(turn), np.sin(turn)], 1e-9 * mesh.size**2
-    # A ray meets a triangle if it passes all three sides on their inner side.
-    passed = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)]) @ rays
-    away = np.sum(a * normals, axis=1)[:, None] / np.minimum(normals @ rays, -tiny)
-    away[passed.max(axis=0) > tiny] = np.inf
-    if not len(away) or away.min(axis=0).max() > _NARROW * mesh.size:
+    away = distances_along(corners, point, across @ [np.cos(turn), np.sin(turn)])
+    if away.min(axis=0).max() > _NARROW * mesh.size:
         return None
     nodes = np.unique(faces[away.argmin(axis=0)])
     linear = np.vstack([np.ones(len(nodes)), (mesh.points[nodes] - point).T])
@@ -190,6 +245,8 @@ class _FaceGraph:
         a, b, c = np.moveaxis(self.corners, 1, 0)
         normals = np.cross(b - a, c - a)
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        # Along an edge of more than two faces, parts only touch.
+        self.sides = sides_of(self.faces[:, :3]).pairs
 
     def rows(self, faces: Int[HostArray, "n n_fn"]) -> Int[HostArray, " _"]:
         """Find the indices of faces on the boundary; -1 for those that are not."""
@@ -207,8 +264,7 @@ class _FaceGraph:
         self, angle: float | None, barred: Bool[HostArray, " n_faces"] | None = None
     ) -> Int[HostArray, " n_faces"]:
         """Number the connected parts of the surface; a barred face is its own part."""
-        # Along an edge of more than two faces, parts only touch.
-        left, right = sides_of(self.faces[:, :3]).pairs.T // 3
+        left, right = self.sides.T // 3
         joined = np.ones(len(left), bool)
         if barred is not None:
             joined = ~barred[left] & ~barred[right]
@@ -219,6 +275,22 @@ class _FaceGraph:
         pairs = (np.ones(joined.sum()), (left[joined], right[joined]))
         labels = connected_components(coo_array(pairs, (n, n)), directed=False)[1]
         return labels.astype(int)
+
+    def body_faces(self) -> Int[HostArray, " n_faces"]:
+        """Number the faces of the CAD model, or what is between sharp edges."""
+        labels = self.parts(SHARP)
+        for k, name in enumerate(filter(CAD_FACE.fullmatch, self.mesh.surface_groups)):
+            rows = self.rows(self.mesh.faces(name))
+            labels[rows[rows >= 0]] = -1 - k
+        return labels
+
+    def void(self, chosen: Bool[HostArray, " n_faces"]) -> float:
+        """Compute the volume that a part of the surface and its lids enclose [m3]."""
+        rim = self.sides[np.logical_xor(*chosen[self.sides.T // 3]), 0]
+        nodes = self.faces[:, :3].ravel()[rim] if rim.size else self.faces[chosen]
+        # From a rim, a flat lid adds nothing to the volume on the inner side.
+        middle = self.mesh.points[nodes].reshape(-1, 3).mean(axis=0)
+        return -float(np.linalg.det(self.corners[chosen] - middle).sum()) / 6.0
 
     def distances(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the distance of each face from a point [m]."""

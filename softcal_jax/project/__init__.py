@@ -28,6 +28,7 @@ from softcal_jax.project._project import (
 from softcal_jax.project._quantities import (
     Integer as Integer,
     parse_in_si as parse_in_si,
+    recognised as recognised,
 )
 from softcal_jax.project._reading import (
     QuantityAsRead as QuantityAsRead,

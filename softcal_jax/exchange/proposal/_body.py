@@ -10,9 +10,8 @@ import numpy as np
 
 from softcal_jax._files import check_file
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.actuators import Chamber, enclosed_volumes
-from softcal_jax.configurations import build_mechanism
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad, read_stl
+from softcal_jax.exchange.proposal._cavities import thinnest_wall
 from softcal_jax.mesh import (
     MeshWarning,
     Plane,
@@ -22,13 +21,13 @@ from softcal_jax.mesh import (
     read_mesh,
     select_faces,
     select_nodes,
-    sides_of,
-    volumes,
 )
 
 HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
-CHAMBER_WORDS = ("chamber", "cavity", "inflat", "pressur", "lumen", "air")
-"""Parts of names by which groups that are held, and chambers, are recognised."""
+"""Parts of names by which groups that are held are recognised."""
+
+MOST_TETS, COST = 30_000, 1.5
+"""Tets that are proposed at most, and by which power of them the time grows [-]."""
 
 _FLAT = 1e-4
 _END = 0.02
@@ -38,7 +37,8 @@ _END = 0.02
 class Body(NamedTuple):
     """The linear mesh of a robot, and how a project file says to read it.
 
-    The unit is None if the file states it; the size of tets is None for a mesh file.
+    The unit is None if the file states it; the size of tets is None for a mesh file,
+    and `why` says what it is chosen by.
     """
 
     mesh: TetMesh
@@ -46,6 +46,7 @@ class Body(NamedTuple):
     unit_guessed: bool
     size: str | None
     drop_unused: bool
+    why: str = ""
 
 
 class Held(NamedTuple):
@@ -60,7 +61,10 @@ class Held(NamedTuple):
 
 
 def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
-    """Read a mesh, or fill a CAD model with tets, by default 20 along its diagonal."""
+    """Read a mesh, or fill a CAD model with tets.
+
+    By default 20 along its longest side, and two across its thinnest wall.
+    """
     suffix = path.suffix.lower()
     guessed = length_unit is None and suffix not in (".step", ".stp")  # these state it
     unit = _guess_unit(path) if guessed else length_unit
@@ -68,14 +72,27 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
         mesh, drop = _read(path, str(unit))
         return Body(mesh, unit, guessed, None, drop)
     options = {"length_unit": unit, "order": 1}
-    if size is None:
-        # This mesh is thrown away.
-        with warnings.catch_warnings(action="ignore", category=MeshWarning):
-            first = mesh_cad(path, **options)
-        # Enough for bending, and solved in seconds.
-        size = float(f"{first.size / 20.0:.1g}")
-    typed = f"{1e3 * size:.6g} mm"
-    return Body(mesh_cad(path, size=size, **options), unit, guessed, typed, False)
+    typed = lambda metres: f"{float(f'{1e3 * metres:.2g}'):g} mm"
+    if size is not None:
+        mesh = mesh_cad(path, size=size, **options)
+        return Body(mesh, unit, guessed, f"{1e3 * size:.6g} mm", False)
+    # This mesh is thrown away.
+    with warnings.catch_warnings(action="ignore", category=MeshWarning):
+        first = mesh_cad(path, **options)
+    wall, where = thinnest_wall(first)
+    bending, two_across = first.size / 20.0, 0.5 * wall
+    usual = first.size / 30.0  # what the first mesh was made with
+    least = usual * (first.n_tets / MOST_TETS) ** (1.0 / 3.0)
+    size = float(f"{min(bending, max(two_across, least)):.2g}")
+    mesh, why = mesh_cad(path, size=size, **options), "halve it to see what changes"
+    if two_across < bending:
+        longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.1g}")
+        why = (
+            f"{typed(two_across)}: two across the thinnest wall,{where} {typed(wall)}\n"
+            f"# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as with "
+            f"the {first.n_tets} of {typed(usual)}."
+        )
+    return Body(mesh, unit, guessed, typed(size), False, why)
 
 
 def _guess_unit(path: Path) -> str:
@@ -105,9 +122,7 @@ def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
             raise refused from None
 
 
-def _named_like(
-    words: Sequence[str], groups: Iterable[str], mesh: TetMesh
-) -> list[str]:
+def named_like(words: Sequence[str], groups: Iterable[str], mesh: TetMesh) -> list[str]:
     """List the groups, but for tet groups, whose names contain one of some words."""
     has_word = lambda name: any(word in name.lower() for word in words)
     return [name for name in groups if name not in mesh.tet_groups and has_word(name)]
@@ -119,7 +134,7 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     Of both ends it is the lower one, or that which is farther from points that were
     seen to move [m].
     """
-    named = _named_like(HELD_WORDS, (*mesh.surface_groups, *mesh.node_groups), mesh)
+    named = named_like(HELD_WORDS, (*mesh.surface_groups, *mesh.node_groups), mesh)
     if named:
         nodes = node_indices(mesh, named[0], "a support")
         return Held(named[0], (), mesh.points[nodes].mean(axis=0))
@@ -147,27 +162,6 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
 def in_mm(place: Float[HostArray, "3"]) -> str:
     """Write a place as a project file does."""
     return '"(' + ", ".join(f"{round(1e3 * x, 4) + 0.0:.10g}" for x in place) + ') mm"'
-
-
-def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
-    """Find the surfaces that are called like chambers, and are walls of a cavity.
-
-    Returns whether each has a rim that a lid has to close, by the name of its group.
-    """
-    chambers = {}
-    for name in _named_like(CHAMBER_WORDS, mesh.surface_groups, mesh):
-        faces = mesh.surface_groups[name]
-        is_open = bool(np.any(sides_of(faces[:, :3]).counts == 1))
-        chamber = Chamber(name, name, seal=is_open)
-        try:
-            made = build_mechanism(mesh, [], [chamber])
-        except ValueError:  # a wall of the outside, whatever it is called
-            continue
-        (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
-        # A flat wall of the outside encloses nothing, with either sign of rounding.
-        if name != held.group and volume > 1e-6 * float(volumes(mesh).sum()):
-            chambers[name] = is_open
-    return chambers
 
 
 def far_end(mesh: TetMesh, held: Held) -> Float[HostArray, "3"]:

@@ -1,17 +1,18 @@
 """The text of a proposed project file."""
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from softcal_jax._names import listed
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal._body import in_mm
-from softcal_jax.exchange.proposal._recorded import Findings, RecordedPose
+from softcal_jax.exchange.proposal._recorded import Findings, RecordedPose, Stated
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import volumes
-from softcal_jax.project import parse_in_si, toml_key, toml_value
+from softcal_jax.project import toml_key, toml_value
 from softcal_jax.report import mesh_lines
 
 DENSITY = 1070.0
@@ -71,7 +72,8 @@ def _mesh(findings: Findings) -> Iterator[str]:
         guess = f" # CHANGE: a guess, by which it is {sides} mm"
         yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
     if body.size is not None:
-        yield f'size = "{body.size}" # edges of the tets; halve it to see what changes'
+        why = body.why or "halve it to see what changes"
+        yield f'size = "{body.size}" # edges of the tets; {why}'
     if body.drop_unused:
         yield 'unused_nodes = "drop" # the file has nodes that no cell uses'
     yield """element = "quadratic" # does not lock in bending; "linear" does
@@ -86,6 +88,8 @@ def _mesh(findings: Findings) -> Iterator[str]:
         why = ", farther from the markers that move" * moved
         guess = f"# CHANGE: what is held, here an end of the body{why}"
         yield from ("", f"[groups.{held.group}] {guess}", *held.definition)
+    for one in findings.actuated:
+        yield from ("",) * bool(one.definition) + one.definition
     yield """
 # Other parts, by where they are: box (lower, upper), sphere (centre, radius), points:
 #   [groups.tip]
@@ -113,15 +117,21 @@ upper = "100 MPa" # both far from what is likely"""
 
 
 def _actuators(findings: Findings) -> Iterator[str]:
-    """Write a chamber for each surface that is called like one."""
-    for k, (group, is_open) in enumerate(findings.chambers.items()):
-        yield "\n" * (k > 0) + f"[actuators.{toml_key(f'air in {group}')}]"
-        yield 'type = "chamber"'
-        named = "# CHANGE: what is inflated, here by its name"
-        yield f"surface = {toml_value(group)} {named}"
-        if is_open:
+    """Write a chamber or a cable for each cavity."""
+    for k, one in enumerate(findings.actuated):
+        yield "\n" * (k > 0) + f"[actuators.{toml_key(one.name)}]"
+        if one.group:
+            yield 'type = "chamber"'
+            what = f"# CHANGE: what is inflated, here {one.why}"
+            yield f"surface = {toml_value(one.group)} {what}"
+        else:
+            yield 'type = "cable"'
+            yield f"guides = [ # CHANGE: where it runs, here on the axis of {one.why}"
+            yield from (f"  {in_mm(point)}," for point in one.guides)
+            yield "]"
+        if one.is_open:
             yield "seal = true # it has a rim: a lid without material closes it"
-    if not findings.chambers:
+    if not findings.actuated:
         yield """# Actuators, a table each, driven by `actuation` of a pose:
 #   [actuators.air]
 #   type = "chamber"     # or "cable" (guides), "motor" (body), "point-force"
@@ -191,45 +201,62 @@ def _shared(findings: Findings) -> Iterator[str]:
 def _configurations(findings: Findings) -> Iterator[str]:
     """Write the poses that were recorded, or two that might be."""
     weight = float(volumes(findings.body.mesh).sum()) * DENSITY * STANDARD_GRAVITY
-    tip = in_mm(findings.tip)
-    load = f'loads = [{{ point = {tip}, force = "(0, 0, -{weight:.1g}) N" }}]'
     if findings.recorded is None:
-        yield f"""# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
+        yield """# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
 #   [shared.measured]
 #   file = "markers.csv"
 #   displacement_from = "hanging"
-# and in each configuration: measured.select = {{ pose = "hanging" }}
+# and in each configuration: measured.select = { pose = "hanging" }
 [[configurations]]
 name = "hanging"
 
-[[configurations]]
-name = "loaded"
-{_driven(findings, "", load)}"""
+[[configurations]]"""
+        yield 'name = "loaded"'
+        yield from _driven(findings, (), weight)
         return
     last = len(findings.poses) - 1
     for k, pose in enumerate(findings.poses):
-        unloaded = k == 0 < last
+        unloaded = k == 0 < last and not any(s.value for s in pose.stated)
         yield "\n" * (k > 0) + "[[configurations]]"
         remark = " # CHANGE: here nothing acts but gravity" * unloaded
         yield f"name = {toml_value(pose.name)}{remark}"
         if 1 < k == last:
             yield 'role = "validation" # predicted after the fit, never used in it'
         if not unloaded:
-            yield _driven(findings, pose.name, load)
+            yield from _driven(findings, pose.stated, weight)
         yield from _measured(findings, pose)
 
 
-def _driven(findings: Findings, name: str, load: str) -> str:
-    """Write what acts in a pose: a pressure where there is a chamber, else a load."""
-    if not findings.chambers:
-        return f"{load} # CHANGE: what acts in this pose"
-    actuator = toml_key(f"air in {next(iter(findings.chambers))}")
-    try:
-        parse_in_si(name, "Pa")
-    except ValueError:
-        guess = f'actuation = {{ {actuator} = "10 kPa" }}'
-        return f"{guess} # CHANGE: what acts in this pose"
-    return f"actuation = {{ {actuator} = {toml_value(name)} }} # by its name"
+def _driven(
+    findings: Findings, stated: Sequence[Stated], weight: float
+) -> Iterator[str]:
+    """Write what acts in a pose: what is stated of it, else a guess.
+
+    Pressures and volumes are of chambers, forces and lengths of cables, in their order.
+    Other forces and masses hang on the tip, and where nothing is stated a weight [N].
+    """
+    actuation, sources, left = {}, [], [*stated]
+    for one in findings.actuated:
+        units = ("Pa", "m3") if one.group else ("N", "m")
+        for acting in [s for s in left if s.unit in units][:1]:
+            left.remove(acting)
+            actuation[one.name] = acting.text
+            sources.append(acting.source)
+    hung = [s for s in left if s.unit in ("N", "kg") and s.value]
+    for s in hung:
+        weight = s.value * (STANDARD_GRAVITY if s.unit == "kg" else 1.0)
+        sources.append(s.source)
+    if not sources and findings.actuated:
+        first = findings.actuated[0]
+        actuation = {first.name: "10 kPa" if first.group else f"{weight:.1g} N"}
+    remark = f"# CHANGE: by {listed([*dict.fromkeys(sources)])}"
+    if not sources:
+        remark = "# CHANGE: what acts in this pose"
+    if actuation:
+        yield f"actuation = {toml_value(actuation)} {remark}"
+    if hung or not actuation:
+        down = f'force = "(0, 0, -{weight:.{4 if hung else 1}g}) N"'
+        yield f"loads = [{{ point = {in_mm(findings.tip)}, {down} }}] {remark}"
 
 
 def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:

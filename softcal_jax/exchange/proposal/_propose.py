@@ -12,10 +12,10 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import (
     Body,
     far_end,
-    find_chambers,
     propose_held,
     read_body,
 )
+from softcal_jax.exchange.proposal._cavities import find_actuated
 from softcal_jax.exchange.proposal._file import project_text
 from softcal_jax.exchange.proposal._recorded import (
     Findings,
@@ -123,7 +123,7 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         held=held,
         # Within a tet, since a finer or coarser mesh has its skin elsewhere.
         tip=mesh.centroids[locate(mesh, tip[None], max_distance=np.inf).tet[0]],
-        chambers=find_chambers(mesh, held),
+        actuated=find_actuated(mesh),
         recorded=recorded,
         own_frame=own_frame,
         markers=markers,

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -14,14 +14,34 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 from softcal_jax.configurations import MarkerTable
 from softcal_jax.exchange.proposal._body import Body, Held
-from softcal_jax.project import toml_value
+from softcal_jax.exchange.proposal._cavities import Actuated
+from softcal_jax.project import recognised, toml_value
 
 _REST = re.compile(
     r"(?<![a-z])(rest|unloaded|zero|reference|initial|home)(?![a-z])"
-    r"|^\W*0(\.0+)?(?![\d.])",
+    r"|^\W*0(\.0+)?(?![\d.,])",
     re.IGNORECASE,
 )
 """Names of poses in which nothing acts but gravity."""
+
+_QUANTITY = re.compile(r"(?<![\d.])([+-]?\d+(?:\.\d+)?)[ _]?([a-zA-Z]+)(?![a-zA-Z\d])")
+"""What acts, in the name of a pose or a cell: "15 kPa"; recognised by its unit."""
+
+_WITH_UNIT = re.compile(r"\w.*?[\s_/([]+(?P<unit>[a-zA-Z]\w*)[\])]?")
+"""A column whose values have a unit: "pressure_kPa", "force [N]"."""
+
+
+_OF_PLACE = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
+"""Columns with coordinates."""
+
+
+class Stated(NamedTuple):
+    """A quantity that acts in a pose: as text and in SI, and what says so."""
+
+    text: str
+    value: float
+    unit: str
+    source: str
 
 
 class RecordedPose(NamedTuple):
@@ -34,6 +54,14 @@ class RecordedPose(NamedTuple):
     file: Path
     select: str
     seen: dict[str, Float[HostArray, "3"]]
+    stated: tuple[Stated, ...] = ()
+
+    @property
+    def is_unloaded(self) -> bool:
+        """Whether its name, or all that is stated of it, says that nothing acts."""
+        if self.stated:
+            return not any(stated.value for stated in self.stated)
+        return _REST.search(self.name) is not None
 
 
 class Recorded(NamedTuple):
@@ -91,18 +119,22 @@ class Findings(NamedTuple):
     """What a project is written from.
 
     The model is named as in the project file, and a load is proposed to act at `tip`
-    [m]. `chambers` says by the name of a surface whether it has a rim, and `own_frame`
-    whether the recording has another frame than the mesh.
+    [m]. `own_frame` says whether the recording has another frame than the mesh.
     """
 
     model: str
     body: Body
     held: Held
     tip: Float[HostArray, "3"]
-    chambers: dict[str, bool]
+    actuated: tuple[Actuated, ...]
     recorded: Recorded | None
     own_frame: bool
     markers: tuple[MarkerPlace, ...]
+
+    @property
+    def chambers(self) -> dict[str, bool]:
+        """Whether each chamber has a rim, by the name of its surface group."""
+        return {one.group: one.is_open for one in self.actuated if one.group}
 
     @property
     def poses(self) -> tuple[RecordedPose, ...]:
@@ -133,7 +165,7 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
             raise refused from None
         unit = _likely_unit(poses[0], across)
         poses = find(paths, unit)
-    rest = next((pose for pose in poses if _REST.search(pose.name)), poses[0])
+    rest = next((pose for pose in poses if pose.is_unloaded), poses[0])
     if not rest.seen:
         raise ValueError(
             f"{rest.file}: no marker was seen in {rest.name!r}, with which the other "
@@ -157,15 +189,35 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     (path,) = paths
     table = configurations.read_table(path, "marker", None)
     columns = _columns(table.header, table.rows)
-    keys = dict.fromkeys(tuple(row[c] for c in columns) for row in table.rows)
-    poses = []
-    for key in keys:
-        select = dict(zip(columns, key, strict=True))
+    units = {c: _unit_of(c) for c in table.header if c not in {"marker", *_OF_PLACE}}
+    typed = lambda row, c: f"{row[c]} {units[c]}".strip()
+    poses = {}
+    for row in table.rows:
+        select = {c: row[c] for c in columns}
+        if (key := toml_value(select)) in poses:
+            continue
         seen = _seen(configurations.read_markers(path, length_unit=unit, select=select))
-        poses.append(
-            RecordedPose(" ".join(key) or "pose", path, toml_value(select), seen)
-        )
-    return poses
+        name = " ".join(typed(row, c) for c in columns) or "pose"
+        said = [(f"the column {c}", typed(row, c)) for c in units]
+        poses[key] = RecordedPose(name, path, key, seen, _stated(said))
+    return [*poses.values()]
+
+
+def _unit_of(column: str) -> str:
+    """Return the unit that the name of a column ends in, or nothing."""
+    match = _WITH_UNIT.fullmatch(column)
+    unit = match["unit"] if match else ""
+    return unit if recognised(f"1 {unit}") else ""
+
+
+def _stated(said: Iterable[tuple[str, str]]) -> tuple[Stated, ...]:
+    """Find quantities in texts, each text after its source."""
+    found = []
+    for source, words in said:
+        for number, unit in _QUANTITY.findall(words.replace(",", ".")):
+            if read := recognised(f"{number} {unit}"):
+                found.append(Stated(f"{number} {unit}", read[0][0], read[1], source))
+    return tuple(found)
 
 
 def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
@@ -174,8 +226,7 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
     In a pose every marker has one row. If no columns tell poses apart, none are chosen,
     and reading reports which marker occurs twice.
     """
-    of_place = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
-    others = [column for column in header if column not in {"marker", *of_place}]
+    others = [column for column in header if column not in {"marker", *_OF_PLACE}]
     distinct = lambda columns: len({tuple(row[c] for c in columns) for row in rows})
     for n in range(min(3, len(others)) + 1):
         telling = [
@@ -204,7 +255,11 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
         for name, start, stop in windows:
             listed = ", ".join(f'"{round(time, 4):.10g} s"' for time in (start, stop))
             seen = _seen(recording.between(round(start, 4), round(stop, 4)))
-            poses.append(RecordedPose(name, path, f"{{ between = [{listed}] }}", seen))
+            select, stated = (
+                f"{{ between = [{listed}] }}",
+                _stated([("its name", name)]),
+            )
+            poses.append(RecordedPose(name, path, select, seen, stated))
     return poses
 
 
