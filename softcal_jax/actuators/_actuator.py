@@ -117,6 +117,11 @@ class Kind(NamedTuple):
     displacement_unit: str | None
     unilateral: bool = False
 
+    @property
+    def force(self) -> str:
+        """What lambda_a is called."""
+        return "pressure" if self.force_unit == "Pa" else "force"
+
 
 class RestState(Module):
     """The mesh and the rigid bodies at rest, to which actuators are attached.

@@ -8,6 +8,7 @@ from softcal_jax.control._goals import (
     Limits as Limits,
     limit_arrays as limit_arrays,
     with_goals as with_goals,
+    with_marker_goals as with_marker_goals,
 )
 from softcal_jax.control._inputs import (
     ActuatorCompliance as ActuatorCompliance,

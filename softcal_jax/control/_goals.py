@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known
+from softcal_jax._names import check_known, listed, parse_axes
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Kind
 from softcal_jax.bodies import Pose
@@ -27,36 +28,59 @@ ANYTHING = (-np.inf, np.inf)  # no limits
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
-    """Replace the measured values of a configuration by goals.
+    """Give a configuration goals, and no others: what it measured is no goal.
 
-    Effectors without a goal keep their values.
+    A marker may leave coordinates free, by nan.
 
     Raises:
         ValueError: If a name is unknown, a goal has the wrong number of coordinates, or
-            some but not all markers of a configuration have one.
+            markers leave different coordinates free.
     """
     markers = configuration.markers
-    marker_names = () if markers is None else markers.names
-    known = [*(effector.name for effector in configuration.effectors), *marker_names]
+    names = () if markers is None else markers.names
+    axes = np.isin(range(3), parse_axes(markers.axes if markers else "xyz"))
+    known = [*(effector.name for effector in configuration.effectors), *names]
     check_known(f"effector of configuration {configuration.name!r}", known, *goals)
+    free = lambda effector: replace(effector, measured=None)
     effectors = tuple(
-        _aimed(effector, goals[effector.name]) if effector.name in goals else effector
-        for effector in configuration.effectors
+        _aimed(e, goals[e.name]) if e.name in goals else free(e)
+        for e in configuration.effectors
     )
-    measured = configuration.measured
-    missing = [name for name in marker_names if name not in goals]
-    if len(missing) < len(marker_names):
-        if measured is None and missing:
-            raise ValueError(
-                f"marker {missing[0]!r} of configuration {configuration.name!r} has no "
-                "goal, but others have: give one to each, or leave it out."
-            )
-        measured = np.zeros((len(marker_names), 3)) if measured is None else measured
-        measured = measured.copy()
-        for row, name in enumerate(marker_names):
-            if name in goals:
-                measured[row] = _numbers(f"marker {name!r}", goals[name], 3)
-    return replace(configuration, effectors=effectors, measured=measured)
+    places = {
+        name: np.where(axes, _numbers(f"marker {name!r}", goal, 3), np.nan)
+        for name, goal in goals.items()
+        if name in names
+    }
+    return replace(with_marker_goals(configuration, places), effectors=effectors)
+
+
+def with_marker_goals(
+    configuration: Configuration, places: Mapping[str, Float[HostArray, "3"]]
+) -> Configuration:
+    """Keep the markers with a goal [m], and the axes along which it is not nan."""
+    markers = configuration.markers
+    if markers is None or not places:
+        return replace(configuration, markers=None, measured=None)
+    goals = np.array([*places.values()])
+    asked = np.isfinite(goals)
+    for name, some in zip(places, asked.any(axis=1), strict=True):
+        if not some:
+            raise ValueError(f"the goal of {name!r} leaves every coordinate free.")
+    if (asked != asked[0]).any():
+        raise ValueError(
+            f"the goals of {listed([repr(name) for name in places])} leave different "
+            "coordinates free; expected the same of all markers."
+        )
+    rows = [markers.names.index(name) for name in places]
+    std, rest = np.asarray(markers.std), markers.positions[rows]
+    kept = replace(
+        markers,
+        names=tuple(places),
+        positions=rest,
+        std=markers.std if std.ndim == 0 else std[rows],
+        axes="".join(compress("xyz", asked[0])),
+    )
+    return replace(configuration, markers=kept, measured=np.where(asked, goals, rest))
 
 
 def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
@@ -68,6 +92,13 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
             )
         return replace(effector, measured=goal)
     numbers = _numbers(what, goal, effector.n_values)
+    if not np.isfinite(numbers).all():
+        few = {1: "a finite number", 2: "two finite numbers", 3: "three finite numbers"}
+        raise ValueError(
+            f"the goal of {what} is {numbers}, expected "
+            f"{few.get(numbers.size, 'finite numbers')}; only markers may leave "
+            "coordinates free (nan)."
+        )
     value = numbers if numbers.size > 1 else float(numbers[0])
     return replace(effector, measured=value)  # type: ignore[call-arg]
 
@@ -145,9 +176,10 @@ def limit_arrays(
         both = (displacement, force) if by_displacement else (force, displacement)
         inputs[:, a], following[:, a] = both
         (lower, upper), unit = inputs[:, a], getattr(kind, f"{quantity}_unit")
+        noun = kind.force if quantity == "force" else quantity
         if not lower <= asked.value <= upper:
             raise ValueError(
-                f"{what} starts outside its limits: its {quantity} is {asked.value:g} "
+                f"{what} starts outside its limits: its {noun} is {asked.value:g} "
                 f"{unit} in `actuation`, the limits are {lower:g} to {upper:g} {unit}. "
                 "Start inside them, or widen them."
             )

@@ -5,7 +5,7 @@ import numpy as np
 
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable
+from softcal_jax._units import readable, readable_values
 from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
 
@@ -73,11 +73,15 @@ class GoalFit(Module):
         """How far it is off in each direction, in words: x 0.12 mm, turn x 0.3 deg."""
         parts = zip(coordinate_names(self.effector), self.residual, strict=True)
         unit, seen = self.effector.unit, self.effector.seen
-        return ", ".join(
-            f"{name} {readable(float(f'{value:.3g}'), unit)}".strip()
+        show = lambda value: readable(float(f"{value:.3g}"), unit)
+        listed = [
+            f"{name} {show(value)}".strip()
             for (name, value), counts in zip(parts, seen, strict=True)
             if counts
-        )
+        ]
+        distance = self.effector.distance(self.reached)
+        far = len(listed) > 1 and bool(np.isfinite(distance))
+        return ", ".join(listed) + f" ({show(distance)} in all)" * far
 
 
 def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
@@ -218,6 +222,21 @@ class InverseResult(Result):
     def _words(self) -> str:
         return self.message
 
+    def __str__(self) -> str:
+        goals = (f"{fit.name!r} is off by {fit.off}" for fit in self.goals)
+        return "\n  ".join([self.message, f"commanded: {self.commanded}", *goals])
+
+    @property
+    def commanded(self) -> str:
+        """What is imposed on the commanded actuators, in words."""
+        imposed = lambda a: (getattr(a, a.imposed), getattr(a, f"{a.imposed}_unit"))
+        return ", ".join(
+            f"{a.name} = {readable_values([value], unit or '')}"
+            for a in self.actuators
+            if a.name in self.configuration.actuation
+            for value, unit in [imposed(a)]
+        )
+
     @property
     def forces(self) -> dict[str, float]:
         """lambda_a of every actuator, by name, in its unit."""
@@ -251,6 +270,9 @@ class TrajectoryResult(Result):
 
     def _words(self) -> str:
         return self.headline
+
+    def __str__(self) -> str:
+        return "\n".join([self.headline, *map(str, self.points)])
 
     @property
     def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:

@@ -4,6 +4,7 @@ A descent takes steps from one start towards one aim. It ends at the optimum nea
 its start, which need not be the best one.
 """
 
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.control._inputs import (
     ActuatorCompliance,
     ActuatorReadings,
@@ -46,6 +48,11 @@ SHORTEST_PIECE, FIRST_PIECE = 1 / 8, 1 / 4
 
 PIECES = 4
 """Number of pieces in which inputs are driven to another start if one is too far."""
+
+NEAREST = 1 / 64
+"""To which share of the inputs the last equilibrium towards a start is found [-]."""
+
+SCANNED = 6  # inputs that a scan over the reach of a single one takes
 
 EQUAL = 1e-3
 """Relative difference of costs below which two ends count as one minimum [-].
@@ -116,6 +123,37 @@ def reached(
 
 
 _readings = eqx.filter_jit(actuator_readings)
+
+
+class ControlWarning(SoftcalWarning):
+    """A goal or a start that is probably a mistake."""
+
+
+def approached(command: Command, guess: Float[HostArray, "n_points 3"]) -> Reached:
+    """Solve at the start, or as far on the way to it from no input as there are any.
+
+    Warns:
+        ControlWarning: If the start has no equilibrium, but a share of it has one.
+    """
+    start = reached(command, command.start, guess)
+    if start.solution.converged:
+        return start
+    none, share, piece = np.clip(0.0, *command.box()), 0.0, 0.5
+    here = reached(command, none, np.zeros_like(guess))
+    if not here.solution.converged:
+        return start
+    while share < 1.0 and piece >= NEAREST:
+        value = none + (share + piece) * (command.start - none)
+        tried = reached(command, value, np.asarray(here.solution.displacement))
+        if tried.solution.converged:
+            here, share = tried, share + piece
+            piece = min(2.0 * piece, 1.0 - share)
+        else:
+            piece *= 0.5
+    if share < 1.0:
+        text = f"the start has no equilibrium: the search begins at {100 * share:.3g} %"
+        warnings.warn(f"{text} of its inputs, which has one.", ControlWarning, 4)
+    return here
 
 
 def differentiated(command: Command, equilibrium: Reached) -> Arrival:
@@ -216,9 +254,9 @@ def _outcome(
     met = error <= settings.tol and kept_limits
     if met and (settings.epsilon == 0.0 or decision.vanished):
         return OUTCOMES.met
-    if decision.vanished:
+    if decision.vanished or (decision.ended and kept_limits):
         return OUTCOMES.nearest
-    if decision.stalled:
+    if decision.stalled or decision.ended:
         return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
     return OUTCOMES.max_steps if len(records) >= settings.max_steps else None
 
@@ -233,7 +271,7 @@ def search(
     If none does, the best descent and the one from the start itself are taken to their
     ends. Returns the better one, with all attempts; if interrupted, the best so far.
     """
-    at_start = reached(command, command.start, guess)
+    at_start = approached(command, guess)
     first = begin(command, differentiated(command, at_start))
     if first.linear is None:
         return first, ()
@@ -246,7 +284,9 @@ def search(
             if descent.met:
                 break
         else:
-            for way in dict.fromkeys(("the start", best)):
+            # A scan saw what else there is; elsewhere the start may still come closer.
+            ends = (best,) if _is_single(command) else ("the start", best)
+            for way in dict.fromkeys(ends):
                 tried[way] = descend(command, tried[way])
             if not _better(command, tried[best], tried["the start"]):
                 best = "the start"
@@ -267,8 +307,13 @@ def search(
 
 def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
     others = command.settings.other_starts > 0
-    yield "the start", descend(command, first, explore=others)
+    nearest = descend(command, first, explore=others)
+    yield "the start", nearest
     if not others:
+        return
+    if _is_single(command):
+        for k, start in enumerate(_scanned(command, first, nearest), start=1):
+            yield f"other start {k}, of a scan", descend(command, start, explore=True)
         return
     for k, value in enumerate(_other_starts(command, first), start=1):
         arrival = _driven(command, first.arrival, value)
@@ -278,6 +323,40 @@ def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
     continued = _continued(command, first.arrival)
     if continued is not None:
         yield "the start, over a continuation of the goals", continued
+
+
+def _is_single(command: Command) -> bool:
+    lower, upper = command.box()
+    return int(np.sum(upper > lower)) == 1
+
+
+def _scanned(command: Command, first: Descent, nearest: Descent) -> list[Descent]:
+    """Drive a single input over its reach, and return where the goals are nearest.
+
+    These are the minima over the scan, the lowest first, but for that which is found
+    already. In each direction the scan ends where there is no equilibrium any more.
+    """
+    low, high = _reach(command, first)
+    (a,) = np.flatnonzero(high > low)
+    start, along = first.arrival.value[a], [nearest]
+    values = np.linspace(low[a], high[a], SCANNED)
+    for way in (values[values < start][::-1], values[values > start]):
+        arrival: Arrival | None = first.arrival
+        for value in way:
+            target = np.where(high > low, value, arrival.value)
+            arrival = _driven(command, arrival, target)
+            if arrival is None:
+                break
+            along.append(begin(command, arrival))
+    along.sort(key=lambda descent: descent.arrival.value[a])
+    beside = lambda k: along[max(k - 1, 0) : k] + along[k + 1 : k + 2]
+    lowest = [
+        descent
+        for k, descent in enumerate(along)
+        if descent is not nearest
+        and all(_better(command, descent, other) for other in beside(k))
+    ]
+    return sorted(lowest, key=lambda descent: tuple(_parts(command, descent)))
 
 
 def _continued(command: Command, first: Arrival) -> Descent | None:
@@ -312,21 +391,28 @@ def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_start
     They are a Latin hypercube and its middle, those near the start first: if several
     actuations meet the goals, one near the start is preferred to one far from it.
     """
-    assert first.linear is not None
-    n, reach = command.settings.other_starts, command.settings.max_step_bound
-    (lower, upper), value = command.box(), first.arrival.value
-    scale = first.linear.scale
+    n, value = command.settings.other_starts, first.arrival.value
+    low, high = _reach(command, first)
     # Here, so that commands which do not need it do not wait for it.
     from scipy.stats.qmc import LatinHypercube
 
-    low = np.maximum(lower, value - reach * scale)
-    high = np.minimum(upper, value + reach * scale)
     shares = np.full((n, low.size), 0.5)
     shares[1:] = LatinHypercube(low.size, rng=0).random(n - 1)
     starts = low + shares * (high - low)
-    away = np.linalg.norm((starts - value) / scale, axis=1)
+    assert first.linear is not None
+    away = np.linalg.norm((starts - value) / first.linear.scale, axis=1)
     # The middle may be the start itself, which needs no second descent.
     return starts[np.argsort(away)][np.sort(away) > command.settings.step_tol]
+
+
+def _reach(command: Command, first: Descent) -> Float[HostArray, "2 n_a"]:
+    """Return the lowest and highest inputs within limits and the reach of a step."""
+    assert first.linear is not None
+    (lower, upper), value = command.box(), first.arrival.value
+    reach = command.settings.max_step_bound * first.linear.scale
+    return np.stack(
+        [np.maximum(lower, value - reach), np.minimum(upper, value + reach)]
+    )
 
 
 def _driven(

@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._warnings import SoftcalWarning
+from softcal_jax._units import readable_values
 from softcal_jax.configurations import (
     Configuration,
     configuration_lanes,
@@ -27,7 +27,7 @@ from softcal_jax.control._result import (
     TrajectoryResult,
     coordinate_names,
 )
-from softcal_jax.control._search import Arrival, Descent, search
+from softcal_jax.control._search import Arrival, ControlWarning, Descent, search
 from softcal_jax.control._step import (
     FLAT_COSINE,
     ROUNDING,
@@ -38,16 +38,14 @@ from softcal_jax.control._step import (
 )
 from softcal_jax.equilibrium import Model, actuator_states
 
+NO_MORE = "the end of its equilibria: a step further on there is none"
+
 BLIND = 1e-2
 """Singular value of W_ea, relative to the largest, below which a direction is blind.
 
 Inputs, counted as the motion of the robot that they cause, move the effectors a hundred
 times less along it than along the best direction [-].
 """
-
-
-class ControlWarning(SoftcalWarning):
-    """A goal that is probably a mistake."""
 
 
 def solve_inverse(
@@ -74,9 +72,10 @@ def solve_inverse(
         configuration: The actuators in its `actuation` are commanded and start there;
             other actuators stay as they are. Measured values of its effectors and
             markers are their goals, and errors are weighted by 1 / `std`.
-        goals: Goals by the names of effectors and markers, in place of measured values:
-            a `Pose` from rest for a `BodyFrame`, three numbers for a point or reaction,
-            one for a length, volume, angle or force; in SI units and radians.
+        goals: Goals by the names of effectors and markers, in place of all measured
+            values: a `Pose` from rest for a `BodyFrame`, three numbers for a point or
+            reaction, one for a length, volume, angle or force; in SI units and radians.
+            A marker may leave coordinates free: (nan, nan, 0.02).
         limits: Limits by the names of actuators.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
@@ -90,7 +89,9 @@ def solve_inverse(
             search does not end at an optimum within the limits.
 
     Warns:
-        ControlWarning: If a goal is farther away than the robot is large.
+        ControlWarning: If a goal is farther away than the robot is large, or the start
+            has no equilibrium: then the search goes on from the largest share of its
+            inputs that was found to have one.
     """
     command = _prepare(model, configuration, goals, limits, settings)
     if guess is None:
@@ -161,7 +162,8 @@ def _prepare(model, configuration, goals, limits, settings) -> Command:
             f"`actuation`, where they start. Actuators: {known}."
         )
     settings = settings or ControlSettings()
-    configuration = with_goals(configuration, goals or {})
+    if goals is not None:
+        configuration = with_goals(configuration, goals)
     allowed = limit_arrays(model.mechanism, configuration, limits or {})
     lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
     far = farthest(motions(lanes.effectors[0]), model.mesh.size)
@@ -203,6 +205,8 @@ def _result(
         if effector.seen.any()
     )
     holding = Holding() if linear is None else what_holds(command, arrival, linear)
+    if best.decision.ended:
+        holding = holding._replace(held_by=(*holding.held_by, NO_MORE))
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),
@@ -324,10 +328,14 @@ def _reached(command: Command, end: Arrival, linear: Linear) -> list[tuple[int, 
 def _in_words(command: Command, end: Arrival, kind: int, a: int) -> str:
     of_input, side = kind < 2, ("lower", "upper")[kind % 2]
     by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
-    what = "displacement" if by_displacement == of_input else "force"
+    actuators = command.model.mechanism.actuators
+    of_kind, name = actuators.kinds[a], actuators.names[a]
+    moves = by_displacement == of_input
+    what = "displacement" if moves else of_kind.force
+    unit = of_kind.displacement_unit if moves else of_kind.force_unit
+    limits = np.concatenate([command.box(), command.limits.following])
+    value = readable_values([float(limits[kind, a])], unit or "")
     step = command.limits.step[a] * (1.0 - 1e-12)
     if of_input and np.abs(end.value[a] - command.start[a]) >= step:
         what, side = f"step of the {what}", "longest"
-    actuators = command.model.mechanism.actuators
-    noun, name = actuators.kinds[a].noun, actuators.names[a]
-    return f"{what} of {noun} {name!r} at its {side} limit"
+    return f"{what} of {of_kind.noun} {name!r} at its {side} limit, {value}"

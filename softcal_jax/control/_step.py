@@ -22,6 +22,9 @@ from softcal_jax.equilibrium import Model, NewtonSettings
 ROUNDING = 1e-6
 """Violation of a limit that is ignored, relative to the size of the robot [-]."""
 
+ENDED = 1e-3
+"""Step without an equilibrium at which these count as ended, as `step_tol` [-]."""
+
 FLAT_COSINE = 1e-2
 """Cosine between error and step below which a refused step means a minimum [-]."""
 
@@ -160,6 +163,7 @@ class Decision(NamedTuple):
         penalty: Weight of violated limits beside the cost [-].
         vanished: Whether no step helps any more.
         stalled: Whether even the smallest step was refused, away from a minimum.
+        ended: Whether even a short step led to no equilibrium.
     """
 
     step_bound: float
@@ -167,6 +171,7 @@ class Decision(NamedTuple):
     penalty: float = 1.0
     vanished: bool = False
     stalled: bool = False
+    ended: bool = False
 
 
 def decide(
@@ -204,10 +209,13 @@ def decide(
     bound = before.step_bound if accepted else 0.25 * size
     if accepted and at_bound and drop > 0.75 * hoped:
         bound = min(2.0 * bound, settings.max_step_bound)
+    ended = not accepted and not converged and bound < ENDED
     collapsed = not accepted and bound < settings.step_tol
     # The cosine between the errors and their expected reduction.
     lengths = max(np.sum(change**2) * np.sum(error**2), np.finfo(float).tiny)
     flat = -np.sum(change * error) / np.sqrt(lengths) <= FLAT_COSINE
+    # At a fold of the only error a motion of the size of the robot gains nothing.
+    flat |= np.linalg.norm(change) <= FLAT_COSINE * size * np.linalg.norm(error)
     flat = flat and converged and kept_limits
     return Decision(
         accepted=accepted,
@@ -215,6 +223,7 @@ def decide(
         penalty=penalty,
         vanished=bool(vanished or (collapsed and flat)),
         stalled=bool(collapsed and not flat),
+        ended=ended,
     )
 
 

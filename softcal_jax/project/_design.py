@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, listed
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
-from softcal_jax.control import Limits
+from softcal_jax.control import Limits, with_marker_goals
 from softcal_jax.designs import (
     TPU,
     Change,
@@ -145,7 +144,7 @@ def with_goals(
                 value = WrittenPoseTable.model_validate(value)
             kind = table.effectors[name]
             aimed.append(kind.measured(effectors[name], value, folder, model))
-    return replace(_with_markers(configuration, places), effectors=tuple(aimed))
+    return replace(with_marker_goals(configuration, places), effectors=tuple(aimed))
 
 
 def limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float]]:
@@ -169,32 +168,4 @@ def _place(text: Any) -> Float[HostArray, "3"]:
     free = [coordinate.strip() == FREE for coordinate in coordinates]
     filled = re.sub(rf"(?<=[(,])\s*{FREE}\s*(?=[,)])", "0", str(text))
     place = np.array(parse_vector(filled, LENGTH))
-    if all(free):
-        raise ValueError(f"got {text!r}, which leaves every coordinate free.")
     return np.where(free, np.nan, place)
-
-
-def _with_markers(
-    configuration: Configuration, places: Mapping[str, Float[HostArray, "3"]]
-) -> Configuration:
-    """Keep the markers with a goal, and the axes along which they have one."""
-    markers = configuration.markers
-    if markers is None or not places:
-        return replace(configuration, markers=None, measured=None)
-    goals = np.array([*places.values()])
-    asked = ~np.isnan(goals)
-    if (asked != asked[0]).any():
-        raise ValueError(
-            f"the goals of {listed([repr(name) for name in places])} leave different "
-            "coordinates free; expected the same of all markers."
-        )
-    rows = [markers.names.index(name) for name in places]
-    std, rest = np.asarray(markers.std), markers.positions[rows]
-    kept = replace(
-        markers,
-        names=tuple(places),
-        positions=rest,
-        std=markers.std if std.ndim == 0 else std[rows],
-        axes="".join(compress("xyz", asked[0])),
-    )
-    return replace(configuration, markers=kept, measured=np.where(asked, goals, rest))

@@ -11,7 +11,7 @@ import numpy as np
 from softcal_jax import export
 from softcal_jax._text_table import Cell, TextTable, or_dash, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable
+from softcal_jax._units import readable, readable_unit
 from softcal_jax.calibration import ConfigurationResult, simulation_result
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
@@ -19,7 +19,7 @@ from softcal_jax.designs import LEVEL, DesignResult
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.materials import youngs_moduli
 from softcal_jax.report._html import Part, bullets
-from softcal_jax.report._tables import actuator_row, actuator_values
+from softcal_jax.report._tables import actuator_row
 from softcal_jax.report._verdict import RunVerdict
 
 
@@ -157,7 +157,7 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
         missed = tuple(result.points[i].message for i in result.unmet)
         tone = "doubtful" if missed else "good"
         return RunVerdict(result.headline, tone, missed)
-    reasons = (f"Commanded: {_inputs(result)}.",)
+    reasons = (f"Commanded: {result.commanded}.",)
     return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
 
 
@@ -167,7 +167,7 @@ def inverse_parts(result: InverseResult | TrajectoryResult) -> list[Part]:
         limits = "Active limits:" if result.active_limits else ""
         return [*inverse_tables(result), limits, bullets(result.active_limits)]
     rows = [
-        (str(i), _inputs(point), Cell(point.message, "good" if point.met else "bad"))
+        (str(i), point.commanded, Cell(point.message, "good" if point.met else "bad"))
         for i, point in enumerate(result.points, 1)
     ]
     columns = "goal", "inputs", "outcome"
@@ -183,39 +183,39 @@ def _goals(goals: Sequence[GoalFit]) -> TextTable:
     rows = []
     for fit in goals:
         name = f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
-        pair = [_coordinates(fit, x) for x in (fit.effector.measured, fit.reached)]
+        both = fit.effector.measured, fit.reached
+        pair = [_coordinates(fit, values, np.concatenate(both)) for values in both]
         worst = or_dash(float(np.max(np.abs(fit.in_std), initial=0.0)), ".2g")
         rows.append((name, *pair, fit.off, worst))
     columns = "effector", "goal", "reached", "off by", "standard deviations"
     return text_table("Goals", columns, rows)
 
 
-def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
-    """Write the coordinates that have a goal, with their axes if some have none."""
-    effector, seen = fit.effector, np.asarray(fit.effector.seen)
-    text = export.readable_values(values[seen].tolist(), effector.unit).rstrip()
-    if len(seen) == 1 or seen.all():
-        return text
-    return f"{', '.join(compress('xyz', seen))} = {text}"
+def _coordinates(
+    fit: GoalFit, values: Float[HostArray, " k"], beside: Float[HostArray, " n"]
+) -> str:
+    """Write the coordinates that have a goal, in the unit of all that stands beside.
+
+    Axes are named if some have none.
+    """
+    seen = np.asarray(fit.effector.seen)
+    if np.isnan(values[seen]).any():
+        return "unknown"
+    factor, unit = readable_unit(beside, fit.effector.unit)
+    numbers = [f"{round(factor * v, 6) + 0.0:.4g}" for v in values[seen]]
+    text = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
+    axes = "" if seen.all() else f"{', '.join(compress('xyz', seen))} = "
+    return f"{axes}{text} {unit}".rstrip()
 
 
 def _actuators(result: InverseResult) -> TextTable:
-    columns = "actuator", "kind", "force", "displacement"
+    columns = "actuator", "kind", "force or pressure", "displacement or growth"
     rows = []
     for actuator in result.actuators:
         commanded = actuator.name in result.configuration.actuation
         kind = actuator.kind if commanded else f"{actuator.kind}, not commanded"
         rows.append((actuator.name, kind, *actuator_row(actuator)))
     return text_table("Actuators", columns, rows)
-
-
-def _inputs(result: InverseResult) -> str:
-    """Write the commanded forces and displacements of the actuators."""
-    return ", ".join(
-        f"{actuator.name} = {actuator_values(actuator)[actuator.imposed]}"
-        for actuator in result.actuators
-        if actuator.name in result.configuration.actuation
-    )
 
 
 def commanded(point: InverseResult, name: str) -> ConfigurationResult:

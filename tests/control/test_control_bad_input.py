@@ -104,7 +104,7 @@ def test_settings(setting, message):
 
 
 def test_goals_of_every_kind():
-    """Each lands in the measured value of its effector; markers keep the others'."""
+    """Each lands in the measured value of its effector, and no other value counts."""
     markers = Markers(["a", "b"], [(0.05, 0.01, 0.0), (0.05, 0.01, 0.02)])
     start = pose(effectors=EFFECTORS, motor=ImposedDisplacement(0.0))
     start = type(start)(**{**vars(start), "markers": markers})
@@ -123,8 +123,13 @@ def test_goals_of_every_kind():
     np.testing.assert_array_equal(measured[0].translation, [0.01, 0, 0])
     np.testing.assert_array_equal(measured[1], [0.1, 0, 0])
     assert measured[2] == 0.2
-    again = with_goals(aimed, {"b": (7.0, 8.0, 9.0)})
-    np.testing.assert_array_equal(again.measured, [[1, 2, 3], [7, 8, 9]])
     np.testing.assert_array_equal(aimed.measured, [[1, 2, 3], [4, 5, 6]])
-    with pytest.raises(ValueError, match=r"marker 'b' .*no goal"):
-        with_goals(start, {"a": (1.0, 2.0, 3.0)})
+    # As on the command line: other markers and effectors are free, and so is a nan.
+    again = with_goals(aimed, {"b": (np.nan, 8.0, np.nan)})
+    assert (again.markers.names, again.markers.axes) == (("b",), "y")
+    assert again.measured[0, 1] == 8.0
+    assert [effector.measured for effector in again.effectors] == [None] * 3
+    with pytest.raises(ValueError, match="'a' leaves every coordinate free"):
+        with_goals(start, {"a": (np.nan,) * 3})
+    with pytest.raises(ValueError, match="'a' and 'b' leave different coordinates"):
+        with_goals(start, {"a": (1.0, 2.0, np.nan), "b": (1.0, 2.0, 3.0)})

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from arm import EFFECTORS, REST, arm, check_only, pose, tips
 from export.handmade import make_fit, small_model
+from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
+    ControlWarning,
     GoalFit,
     InverseResult,
     Limits,
+    _search,
     _step as step_module,
     follow_trajectory,
     solve_inverse,
@@ -233,3 +236,33 @@ def test_a_start_without_equilibrium_reaches_nothing():
     table = "\n".join(_goals([fit]).lines())
     assert "unknown" in table
     assert "nan" not in table
+
+
+def test_a_start_without_equilibrium_gives_way_to_the_nearest_that_has_one():
+    """A cable pulled far harder than the arm bears; its goal needs a thirtieth."""
+    with pytest.warns(ControlWarning, match=r"no equilibrium: .* at \d.* %"):
+        result = solve_inverse(arm(), robot(top=60.0), goals={"bend": 0.2})
+    check(result)
+    assert result.met
+    assert "nan" not in str(result)
+
+
+def test_out_of_reach_of_one_input_takes_hardly_longer(monkeypatch):
+    """At most as many equilibria as three goals within reach; what stops it is said."""
+    count, solve = [0], _search.solve_equilibrium
+
+    def counted(*args, **kwargs):
+        count[0] += 1
+        return solve(*args, **kwargs)
+
+    monkeypatch.setattr(_search, "solve_equilibrium", counted)
+    start, limit = robot(top=0.1), {"top": Limits(force=(0.0, 10.0))}
+    used = []
+    for bend in (0.2, 0.6, 1.2, 3.0):
+        before = count[0]
+        result = solve_inverse(arm(), start, goals={"bend": bend}, limits=limit)
+        used.append(count[0] - before)
+        assert result.met == (bend < 2.0)
+    assert used[-1] <= sum(used[:3])
+    check_only(result.held_by, "force ... 'top' ... upper limit, 10 N")
+    assert says(str(result), "held by", "commanded: top = 10 N", "'bend' is off by -")

@@ -81,7 +81,7 @@ def behind_a_fold():
     return arm(), start, goal, more
 
 
-@pytest.mark.parametrize("step", [1, 2, 6, 12])
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
 def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
     model, start, goal, more = behind_a_fold()
     interrupted_at(monkeypatch, step)

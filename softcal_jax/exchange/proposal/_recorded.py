@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -25,11 +25,8 @@ _REST = re.compile(
 """Names of poses in which nothing acts but gravity."""
 
 _QUANTITY = re.compile(r"(?<![\d.])([+-]?\d+(?:\.\d+)?)[ _]?([a-zA-Z]+)(?![a-zA-Z\d])")
-"""What acts, in the name of a pose or a cell: "15 kPa"; recognised by its unit."""
-
-_WITH_UNIT = re.compile(r"\w.*?[\s_/([]+(?P<unit>[a-zA-Z]\w*)[\])]?")
-"""A column whose values have a unit: "pressure_kPa", "force [N]"."""
-
+"""What may act, in a name or a cell: "15 kPa". Its unit may end the name of a column:
+"pressure_kPa", "force [N]"."""
 
 _OF_PLACE = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
 """Columns with coordinates."""
@@ -189,35 +186,28 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     (path,) = paths
     table = configurations.read_table(path, "marker", None)
     columns = _columns(table.header, table.rows)
-    units = {c: _unit_of(c) for c in table.header if c not in {"marker", *_OF_PLACE}}
-    typed = lambda row, c: f"{row[c]} {units[c]}".strip()
+    others = [c for c in table.header if c not in {"marker", *_OF_PLACE}]
     poses = {}
     for row in table.rows:
         select = {c: row[c] for c in columns}
         if (key := toml_value(select)) in poses:
             continue
         seen = _seen(configurations.read_markers(path, length_unit=unit, select=select))
-        name = " ".join(typed(row, c) for c in columns) or "pose"
-        said = [(f"the column {c}", typed(row, c)) for c in units]
+        ends = {c: re.split(r"[^a-zA-Z0-9]+", c.strip(")]"))[1:][-1:] for c in others}
+        said = {f"the column {c}": " ".join([row[c], *ends[c]]) for c in others}
+        name = " ".join(select.values()) or "pose"
         poses[key] = RecordedPose(name, path, key, seen, _stated(said))
     return [*poses.values()]
 
 
-def _unit_of(column: str) -> str:
-    """Return the unit that the name of a column ends in, or nothing."""
-    match = _WITH_UNIT.fullmatch(column)
-    unit = match["unit"] if match else ""
-    return unit if recognised(f"1 {unit}") else ""
-
-
-def _stated(said: Iterable[tuple[str, str]]) -> tuple[Stated, ...]:
-    """Find quantities in texts, each text after its source."""
-    found = []
-    for source, words in said:
-        for number, unit in _QUANTITY.findall(words.replace(",", ".")):
-            if read := recognised(f"{number} {unit}"):
-                found.append(Stated(f"{number} {unit}", read[0][0], read[1], source))
-    return tuple(found)
+def _stated(said: Mapping[str, str]) -> tuple[Stated, ...]:
+    """Find quantities in texts, by their sources."""
+    return tuple(
+        Stated(f"{number} {unit}", read[0][0], read[1], source)
+        for source, words in said.items()
+        for number, unit in _QUANTITY.findall(words.replace(",", "."))
+        if (read := recognised(f"{number} {unit}"))
+    )
 
 
 def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
@@ -257,7 +247,7 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
             seen = _seen(recording.between(round(start, 4), round(stop, 4)))
             select, stated = (
                 f"{{ between = [{listed}] }}",
-                _stated([("its name", name)]),
+                _stated({"its name": name}),
             )
             poses.append(RecordedPose(name, path, select, seen, stated))
     return poses
