@@ -63,8 +63,8 @@ def with_marker_goals(
         return replace(configuration, markers=None, measured=None)
     goals = np.array([*places.values()])
     asked = np.isfinite(goals)
-    for name, some in zip(places, asked.any(axis=1), strict=True):
-        if not some:
+    for name, goal in places.items():
+        if not np.isfinite(goal).any():
             raise ValueError(f"the goal of {name!r} leaves every coordinate free.")
     if (asked != asked[0]).any():
         raise ValueError(
