@@ -89,8 +89,8 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
         longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.1g}")
         why = (
             f"{typed(two_across)} are two across the thinnest wall, "
-            f"{typed(wall)}{where}\n# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as "
-            f"with the {first.n_tets} of {typed(usual)}."
+            f"{typed(wall)}{where}\n# A fit with its {mesh.n_tets} tets takes {longer:g} "
+            f"times as long as with the {first.n_tets} of {typed(usual)}."
         )
     return Body(mesh, unit, guessed, typed(size), False, why)
 
