@@ -88,9 +88,9 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
     if two_across < bending:
         longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.1g}")
         why = (
-            f"{typed(two_across)} are two across the thinnest wall, "
-            f"{typed(wall)}{where}\n# A fit with its {mesh.n_tets} tets takes {longer:g} "
-            f"times as long as with the {first.n_tets} of {typed(usual)}."
+            f"{typed(two_across)}: two across the thinnest wall, {typed(wall)}{where}"
+            f"\n# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as "
+            f"with the {first.n_tets} of {typed(usual)}."
         )
     return Body(mesh, unit, guessed, typed(size), False, why)
 
