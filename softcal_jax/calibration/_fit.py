@@ -211,7 +211,8 @@ def _result(
     if task.noise == "stated":
         fits = tuple(fit.with_considered(linear) for fit in fits)
     known = bool(np.isfinite(spread.noise_scale))
-    budget = error_budget(linear.of_fit(), space, z, noise_is_known=known)
+    more = {"noise_is_known": known, "uncertain": task.uncertain}
+    budget = error_budget(linear.of_fit(), space, z, **more)
     problem = predicted.problem.of_first(len(task.fitted))
     notes = result_notes(problem, predicted.fits, z, spread)
     first = start.z if start.notes else task.start

@@ -9,6 +9,7 @@ the noise; they are causes too, by the same gain, and what is left of the noise 
 jitter.
 """
 
+from dataclasses import fields
 from typing import Literal
 
 import equinox as eqx
@@ -17,8 +18,8 @@ from scipy.special import chdtrc, ndtr, stdtr
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax._units import readable_unit
-from softcal_jax.fields import ParameterSpace
+from softcal_jax._units import readable_unit, readable_values
+from softcal_jax.fields import QUANTITIES, ParameterSpace, Uncertain
 from softcal_jax.inference._linear_model import NOISE, LinearModel
 
 UNLIKELY = 0.01
@@ -28,7 +29,7 @@ EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
 REMEDIES = {
-    NOISE: "measure more poses, or with less noise",
+    NOISE: "measure each pose four times, or with half the noise",
     "locking": "use quadratic tets",
     "refinement": "take a finer mesh",
     "density": "weigh the body",
@@ -42,6 +43,8 @@ REMEDIES = {
     "mountings": "measure where the bodies are mounted",
 }
 """What helps against a cause; that of the mesh is named by its error."""
+
+BETTER = 0.1, 0.5  # by how much a cause may be better known, at most and at least [-]
 
 SMALL = 0.1  # share of the standard error below which a sentence leaves a cause out [-]
 
@@ -159,11 +162,17 @@ class Cause(Module):
         errors: Names of its errors, like "recording_offset x in left".
         deviations: Change of the scaled parameters per standard deviation of each of
             its errors [-]; nan for parameters that have no standard error.
+        std: Stated standard deviation of each of its errors, in its unit.
+        unit: SI unit of that, "%" where it is relative; empty where it has none.
+        fitted: What would calibrate it along, like "gravity_tilt"; empty if nothing.
     """
 
     name: str
     errors: tuple[str, ...]
     deviations: Float[HostArray, "n_p n_errors"]
+    std: float = float("nan")
+    unit: str = ""
+    fitted: str = ""
 
     @property
     def variance(self) -> Float[HostArray, " n_p"]:
@@ -221,20 +230,33 @@ class ErrorBudget(Module):
         return ", ".join(parts)
 
     def advice(self, name: str) -> str:
-        """Say what would lower the error of a parameter most, and by what it is so."""
+        """Say what would lower the error of a parameter most, and to what."""
         i = self.names.index(name)
-        errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
-        worst = max(errors, key=lambda c: np.nan_to_num(errors[c]))
-        first = {cause.name: cause.errors[0] for cause in self.causes}
-        remedies = (REMEDIES.get(key) for key in (first.get(worst, ""), worst))
-        remedy = next(filter(None, remedies), f"measure {worst} better")
-        if not np.isfinite(self.standard_errors[i]):
+        total = float(self.standard_errors[i])
+        if not np.isfinite(total):
             return f"measure more: {name} has no standard error."
-        total, by = (
-            self.readable(i, e) for e in (self.standard_errors[i], errors[worst])
+        errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
+        worst = max(errors, key=errors.__getitem__)
+        cause = next((cause for cause in self.causes if cause.name == worst), None)
+        keys = (worst,) if cause is None else (cause.errors[0], worst)
+        remedy = next(filter(None, map(REMEDIES.get, keys)), f"measure {worst} better")
+        rest = float(np.sqrt(max(total**2 - errors[worst] ** 2, 0.0)))
+        share = float(np.clip(0.5 * rest / errors[worst], *BETTER))
+        known = cause is not None and bool(cause.unit)
+        if known:
+            std = f"{100.0 * share * cause.std:.1g} %"
+            if cause.unit != "%":
+                std = readable_values([share * cause.std], cause.unit, digits=1)
+            remedy += f" to {std}"
+        if known and cause.fitted:
+            remedy += f", or calibrate {cause.fitted} along"
+        share = share if known else BETTER[1]
+        after = float(np.hypot(rest, share * errors[worst]))
+        now, by, bring = (self.readable(i, e) for e in (total, errors[worst], after))
+        return (
+            f"{remedy}. {name} is uncertain by {now}, by {by} through {worst} alone; "
+            f"this would bring {bring}."
         )
-        alone = f"{name} is uncertain by {by} through {worst} alone"
-        return f"{remedy}. {alone}, by {total} in all."
 
     def readable(self, i: int, std: float) -> str:
         """Write an error, given in SI: in percent, but for angles and offsets."""
@@ -258,6 +280,7 @@ def error_budget(
     z: Float[Array, " n_p"],
     *,
     noise_is_known: bool,
+    uncertain: Uncertain | None = None,
 ) -> ErrorBudget:
     """Split the uncertainty of a fit by cause.
 
@@ -267,6 +290,7 @@ def error_budget(
         z: Where it ended, scaled [-].
         noise_is_known: Whether the level of the noise is known; with too few residuals
             to estimate it, the errors by noise are nan.
+        uncertain: How well is known what is not calibrated.
     """
     deviations = linear.deviations()
     del deviations[NOISE]
@@ -275,10 +299,14 @@ def error_budget(
     )
     parts = (linear.correlated, linear.considered)
     errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
-    causes = [
-        Cause(name, tuple(error for cause, error in errors if cause == name), moved)
-        for name, moved in deviations.items()
-    ]
+    units = {key.name: key.metadata["unit"] for key in fields(Uncertain)}
+    fitted = {q.uncertain: kind for kind, q in QUANTITIES.items()}
+    causes = []
+    for name, moved in deviations.items():
+        of_cause = tuple(error for cause, error in errors if cause == name)
+        std = getattr(uncertain, name, None)
+        stated = (std, units[name]) if isinstance(std, int | float) else (np.nan, "")
+        causes.append(Cause(name, of_cause, moved, *stated, fitted.get(name, "")))
     whole = np.nan_to_num(sum(cause.variance for cause in causes))
     size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
     return ErrorBudget(

@@ -22,6 +22,8 @@ Kind = Literal[
     "mirrored frame",
     "wrong factor",
     "longer clamp",
+    "wrong clamp",
+    "misplaced marker",
 ]
 """What people do."""
 
@@ -37,14 +39,15 @@ ORIGIN = 1e-6  # distance from the origin within which a reading is (0, 0, 0) [m
 class Stated(NamedTuple):
     """How one pose would have been held and loaded.
 
-    Factors on gravity, on loads and on what is imposed on actuators [-], and how far
-    the clamp reaches beyond what is held [m].
+    Factors on gravity, on loads and on what is imposed on actuators [-], how far the
+    clamp reaches beyond what is held [m], and the face that is held instead, if any.
     """
 
     gravity: float = 1.0
     loads: float = 1.0
     actuation: float = 1.0
     depth: float = 0.0
+    face: str = ""
 
 
 Variant = tuple[Stated, ...]
@@ -121,7 +124,8 @@ class Readings:
 
 def changes(readings: Readings) -> Iterator[Change]:
     """Yield all changes of readings."""
-    for kind in (_lost, _swapped_markers, _swapped_poses, _turned, _scaled):
+    kinds = (_lost, _misplaced, _swapped_markers, _swapped_poses, _turned, _scaled)
+    for kind in kinds:
         yield from kind(readings)
 
 
@@ -138,6 +142,21 @@ def _lost(readings: Readings) -> Iterator[Change]:
             words += "read at (0, 0, 0),"
             free = of_row[c, e.index][seen].T
             yield Change("lost marker", words, 0, measured, free=free)
+
+
+def _misplaced(readings: Readings) -> Iterator[Change]:
+    """Move a marker on the body: its readings are off alike in all configurations."""
+    of_row = np.eye(readings.measured.size).reshape(*readings.measured.shape, -1)
+    poses: dict[str, list[int]] = {}
+    for c, points in enumerate(readings.points):
+        for name in points:
+            poses.setdefault(name, []).append(c)
+    for name, among in poses.items():
+        if len(among) > 1:
+            rows = [(c, readings.points[c][name].index) for c in among]
+            free = sum(readings.weight[row][:, None] * of_row[row] for row in rows)
+            words = f"Moving marker {name}{readings.in_words(among)}"
+            yield Change("misplaced marker", words, 4, readings.measured, free=free.T)
 
 
 def _swapped_markers(readings: Readings) -> Iterator[Change]:

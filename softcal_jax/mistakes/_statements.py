@@ -17,11 +17,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from softcal_jax._lanes import lane_of, stacked
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable_values
 from softcal_jax.calibration import CalibrationProblem, Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Workers
+from softcal_jax.mesh import TetMesh
 from softcal_jax.mistakes._readings import (
     FACTORS,
     Change,
@@ -48,6 +49,8 @@ MOST_TRIED, MOST_CLAMPS = 4, 2
 BETTER = 0.5
 """Share of the squares that superposition must leave at most, of those now [-]."""
 
+FLAT = 0.01  # depth of a face, over the size of the body across it [-]
+
 STILL, QUIET = 0.05, 3.0
 """Largest motion of a marker in a clamp, over that of the one that moves most, or over
 the standard deviation of its readings [-]."""
@@ -68,6 +71,7 @@ class Simulator:
         """Begin with the displacement of each pose, as it was stated [m]."""
         self.problem, self.workers = problem, workers
         self.poses = list(problem.configurations)
+        self.faces = faces(problem.model.mesh)
         acting = lambda of: [bool(np.any(np.asarray(of(pose)))) for pose in self.poses]
         acts = {force: np.array(acting(of)) for force, of in FORCES.items()}
         self.acts = {force: where for force, where in acts.items() if where.any()}
@@ -114,6 +118,9 @@ class Simulator:
         """Change the arrays of a pose."""
         pose, points = self.poses[c], self.problem.model.mesh.points
         fixed = np.array(pose.fixed)
+        if stated.face:
+            fixed[: len(points)] = False
+            fixed[self.faces[stated.face]] = True
         if stated.depth > 0.0:
             distance, _ = KDTree(self.held(c)).query(points)
             fixed[: len(points)] |= (distance <= stated.depth)[:, None]
@@ -220,10 +227,49 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
             )
 
 
+def faces(mesh: TetMesh) -> dict[str, Int[HostArray, " n"]]:
+    """Return the nodes by which a body may be held: on the sides of its box."""
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    near = FLAT * (high - low)
+    return {
+        f"the face of {which} {axis}": np.flatnonzero(
+            np.abs(mesh.points[:, k] - end[k]) <= near[k]
+        )
+        for which, end in (("least", low), ("largest", high))
+        for k, axis in enumerate("xyz")
+    }
+
+
+def _other_face(simulator: Simulator, readings: Readings) -> list[Change]:
+    """Return the clamp of another face, if points moved less near it than elsewhere.
+
+    By the largest motion over the distance from what is held, a strain.
+    """
+    strains: dict[str, float] = {}
+    points = simulator.problem.model.mesh.points
+    places = {name: points[nodes] for name, nodes in simulator.faces.items()}
+    for name, nodes in ({"": simulator.held(0)} | places).items():
+        tree = KDTree(nodes)
+        strains[name] = max(
+            (
+                e.distance(e.at_rest) / max(tree.query(e.at_rest)[0], 1e-12)
+                for of_pose in readings.points
+                for e in of_pose.values()
+            ),
+            default=0.0,
+        )
+    face = min(strains, key=strains.__getitem__)
+    if not face:
+        return []
+    words = f"Holding the body by {face}, and not where it is,"
+    change = Change("wrong clamp", words, 10, readings.measured)
+    return [change._replace(variant=(Stated(face=face),) * len(readings.poses))]
+
+
 def clamps(
     simulator: Simulator, refitter: Refitter, start: Simulated
 ) -> tuple[list[Change], int]:
-    """Return clamps that reach up to a marker that did not move, and their number."""
+    """Return clamps of another face, or up to a marker that did not move."""
     readings = refitter.readings
     moved, noise, depth = dict[str, float](), dict[str, float](), dict[str, float]()
     for c, of_pose in enumerate(readings.points):
@@ -241,7 +287,7 @@ def clamps(
         if 0.0 < gap < max(depth.values())
         and moved[name] <= max(still, QUIET * noise[name])
     }
-    tried = []
+    tried = [c._replace(z=start.z) for c in _other_face(simulator, readings)]
     for gap in sorted(markers)[-MOST_CLAMPS:]:
         farther = readable_values([gap], "m", digits=3)
         words = f"Clamping the body {farther} farther, up to marker {markers[gap]},"

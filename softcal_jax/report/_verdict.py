@@ -116,7 +116,7 @@ def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
     step = result.budget.advice(result.budget.names[worst])
     if result.parameters[worst].at_bound:
         step = f"widen the bounds of {outlook.parameters[worst].name}."
-    if outlook.advice:
+    if outlook.advice and not np.isfinite(outlook.parameters[worst].ratio):
         step = outlook.advice[0][0].lower() + outlook.advice[0][1:]
     if assessment.contradicted:
         return f"check the points that the verdict lists; then {step}"
