@@ -1,4 +1,4 @@
-"""Four small robots, and twelve mistakes in what is said of them, one at a time.
+"""Four small robots, and mistakes in what is said of them, one at a time.
 
 The robots are not quite those of their models: gravity is tilted and the loads are off
 by as much as the default budget of errors says, and the readings have noise.
@@ -26,7 +26,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import beam
+from softcal_jax.mesh import beam, box_faces
 from softcal_jax.project import load_project
 from softcal_jax.robots import ready_made_path, synthetic_measurements
 
@@ -328,7 +328,9 @@ def _reversed(robot: Robot, random: np.random.Generator) -> Case:
 
 def _force_factor(robot: Robot, random: np.random.Generator) -> Case:
     """Too small: forces that are too large have no equilibrium to begin with."""
-    factor = float(random.choice([9.81, 25.4, 1000.0]))
+    pressure = robot.name == "pneumatic finger"
+    factors = [6.895, 10.0, 1000.0] if pressure else [4.448, 9.81, 1000.0]
+    factor = float(random.choice(factors))
     read = robot.measured(random)
     poses = tuple(with_forces(c, robot.force, 1.0 / factor) for c in read)
     return Case(poses, "wrong factor", (robot.force, f"by {factor:g}"))
@@ -379,6 +381,59 @@ def _clamped(robot: Robot, random: np.random.Generator) -> Case:
     return Case(robot.measured(random, real), "longer clamp", (robot.marker,))
 
 
+def _other_face(robot: Robot, random: np.random.Generator) -> Case:
+    """Another face is said to be held."""
+    others = {
+        face: nodes
+        for face, nodes in box_faces(robot.model.mesh).items()
+        if not np.isin(nodes, robot.model.mechanism.bodies.attached).any()
+        and face != "the face of least x"
+    }
+    held = Support(others[str(random.choice(sorted(others)))])
+    poses = tuple(replace(c, supports=(held,)) for c in robot.measured(random))
+    return Case(poses, "wrong clamp", ("least x",))
+
+
+def _misplaced(robot: Robot, random: np.random.Generator) -> Case:
+    """A marker that stands 5 mm from its place."""
+    poses = robot.measured(random)
+    markers = poses[0].markers
+    assert markers is not None
+    k, shift = int(random.integers(len(markers.names))), random.standard_normal(3)
+    off = np.zeros((len(markers.names), 3))
+    off[k] = 5e-3 * shift / np.linalg.norm(shift)
+    moved = [replace(c, measured=c.measured + off) for c in poses]  # pyright: ignore
+    return Case(tuple(moved), "misplaced marker", (markers.names[k],))
+
+
+def _taken(robot: Robot, random: np.random.Generator) -> Case:
+    """Places at rest that were read in the first pose, under its loads."""
+    poses = robot.measured(random)
+    first = poses[0]
+    assert first.markers is not None
+    assert first.measured is not None
+    far = np.full(len(first.markers.names), 0.05)
+    markers = replace(first.markers, positions=first.measured, max_distance=far.max())
+    poses = tuple(replace(c, markers=markers) for c in poses)
+    return Case(poses, "", ("at rest",))
+
+
+def _unloaded(robot: Robot, random: np.random.Generator) -> Case:
+    """Gravity upwards in the one pose that has nothing else."""
+    bare = [replace(c, loads=(), actuation={}, effectors=()) for c in robot.poses[:1]]
+    alone = robot._replace(poses=tuple(bare))
+    (pose,) = alone.measured(random)
+    up = tuple((-np.array(pose.gravity)).tolist())
+    return Case((replace(pose, gravity=up),), "", ("against gravity",))
+
+
+def _sized(robot: Robot, random: np.random.Generator) -> Case:
+    """Forces ten thousand times too small, or too large, but not for the reader."""
+    factor = float(random.choice([1e-4, 1e2]))
+    poses = tuple(with_forces(c, robot.force, factor) for c in robot.measured(random))
+    return Case(poses, "", ("times what the body resists",))
+
+
 Plant = Callable[[Robot, np.random.Generator], Case]
 
 MISTAKES: Mapping[str, Plant] = {
@@ -394,5 +449,15 @@ MISTAKES: Mapping[str, Plant] = {
     "marker lost": _lost,
     "poses exchanged": _exchanged,
     "longer clamp": _clamped,
+    "other face held": _other_face,
+    "marker misplaced": _misplaced,
 }
-"""The twelve kinds, by name."""
+"""The kinds that a fit can tell, by name."""
+
+CHECKED: Mapping[str, Plant] = {
+    "other face held": lambda *a: _other_face(*a)._replace(words=(".supports",)),
+    "places at rest read in a loaded pose": _taken,
+    "gravity upwards": _unloaded,
+    "forces beyond the body": _sized,
+}
+"""The kinds that `softcal check` tells, by name."""

@@ -24,6 +24,7 @@ from softcal_jax.configurations import rms_distance
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import (
+    ANY_ANGLE,
     UNLIKELY,
     ErrorBudget,
     Estimate,
@@ -121,7 +122,8 @@ class ParameterEstimate(Module):
     @property
     def is_symmetric(self) -> bool:
         """Whether value +- standard error may be shown: no check speaks against it."""
-        if not math.isfinite(self.standard_error):
+        any_angle = self.unit == "rad" and self.standard_error > ANY_ANGLE
+        if any_angle or not math.isfinite(self.standard_error):
             return False
         interval = self.interval
         if interval is None:

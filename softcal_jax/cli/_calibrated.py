@@ -37,6 +37,7 @@ equilibrium, 2 bad input, 130 interrupted (the best actuation so far is written)
 def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
+    from softcal_jax.configurations import beyond
     from softcal_jax.control import OUTCOMES, ControlSettings, solve_inverse
     from softcal_jax.export import Made
     from softcal_jax.project import inverse_as_typed
@@ -69,6 +70,8 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     for table in report.inverse_tables(result):
         show.line(table.drawn())
     show.line(result.message)
+    if further := beyond(project.calibration, result.configuration):
+        show.line(f"The model is not tested there: {further}.")
     options = ["--configuration", posed.name]
     for flag in ("goal", "start", "limit"):
         for text in getattr(args, flag):

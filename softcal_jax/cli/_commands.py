@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli import _shared as cli
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.calibration import CalibrationResult
@@ -182,27 +183,29 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
     project = cli.load(args.project, show)
     with cli.bad_input():
         project.check_identify()
+        if args.aim is not None:
+            aim = quantity("--aim", args.aim, "")
+            project = replace(project, precision=aim)
     outlook = ranking = None
+    blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     with cli.no_equilibrium("Nothing was written."):
         if project.calibration:
             show.now(f"what the data of {_names(project.calibration)} would determine")
             outlook = project.identify(progress=cli.equilibrium_lines(show))
-        if project.candidates:
-            show.now(f"what {_names(project.candidates)} would add")
-            ranking = project.rank_candidates(progress=cli.equilibrium_lines(show))
-    show.lap("solve")
-    show.line()
-    blind = [c for c in project.calibration if not (c.markers or c.effectors)]
-    if blind:
-        show.line(f"Without markers or effectors, so without data: {_names(blind)}.")
-    show.line("At the start values, with the stated noise of the measurements:")
-    for part in filter(None, (outlook, ranking)):
-        show.line(f"{part}\n")
-    if ranking is None:
-        show.line(
-            "To see what another configuration would add, describe it in "
-            "[[candidates]] (keys as in [[configurations]]) and repeat this command."
-        )
+            show.lap("solve")
+            show.line()
+            if blind:
+                without = _names(blind)
+                show.line(f"Without markers or effectors, so without data: {without}.")
+            show.line("At the start values, with the stated noise of the measurements:")
+            show.line(f"{outlook}\n")
+        candidates = (*project.candidates, *project.proposals)
+        if candidates:
+            show.now(f"what {_names(candidates)} would add")
+            progress = cli.equilibrium_lines(show)
+            ranking = project.rank_candidates(proposals=True, progress=progress)
+            show.lap("candidates")
+            show.line(f"{ranking}\n")
     more = {"name": project.name, "made": _made(project, precision=project.precision)}
     if args.output is None:
         show.document(outlook_dict(outlook, ranking, timing_s=show.laps, **more))

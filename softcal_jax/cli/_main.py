@@ -181,10 +181,15 @@ standard error with its target, `precision` under [settings]: 10 % by default.
 No measured positions are needed, and any that are given are ignored. Only the `std` of
 markers and effectors and the axes of the markers count.
 
-Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
-ranked by how much information measuring them would add.""",
+Candidates are ranked by what measuring them would add: those of the project file,
+[[candidates]] with the keys of [[configurations]], and proposals (gravity along other
+axes, the other end held, a weight at the tip, half and full actuation, the same again).
+It then says which fewest of them reach the target, or what else would. The candidates
+take about as long as as many configurations; the verdict stands before.""",
         epilog=_IDENTIFY,
     )
+    text = 'the target, in place of `precision`: --aim "5 %"'
+    outlook.add_argument("--aim", metavar="ERROR", help=text)
     outlook.set_defaults(run=_commands.identify)
     for command in (fit, forward, plan, outlook):
         cli.add_path(command, "project", "PROJECT.toml", "the project file")

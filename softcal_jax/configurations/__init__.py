@@ -5,6 +5,7 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays as EffectorArrays,
     Observed as Observed,
 )
+from softcal_jax.configurations._beyond import beyond as beyond
 from softcal_jax.configurations._boundary import (
     AbstractLoad as AbstractLoad,
     EdgeForce as EdgeForce,

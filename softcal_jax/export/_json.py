@@ -142,16 +142,17 @@ def outlook_dict(
     from softcal_jax.export.result_file import IDENTIFIABILITY
 
     ranked = ranking and {
-        "blind_before": ranking.blind_before,
-        "candidates": [{**plain(g), "volume": g.volume} for g in ranking.gains],
+        "candidates": ranking.gains,
+        "reached": ranking.reached,
         "unranked": ranking.unranked,
     }
     return plain(
         {
-            "format": "softcal_jax.identifiability/2",
+            "format": "softcal_jax.identifiability/3",
             "name": name,
             **made_dict(made, directory),
             "identifiability": outlook and IDENTIFIABILITY.entry(outlook),
+            "budget": outlook and outlook.budget and budget_dict(outlook.budget),
             "ranking": ranked,
             "timing_s": timing_s or {},
         }

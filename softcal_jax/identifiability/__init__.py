@@ -9,6 +9,7 @@ from softcal_jax.identifiability._identify import (
     identifiability as identifiability,
     identify as identify,
 )
+from softcal_jax.identifiability._proposals import proposals as proposals
 from softcal_jax.identifiability._ranking import (
     Gain as Gain,
     Ranking as Ranking,

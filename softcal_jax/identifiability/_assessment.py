@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
+from softcal_jax._units import readable_values
 from softcal_jax.calibration import MISSED, CalibrationResult, ConfigurationResult
 from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
@@ -89,8 +89,9 @@ class Assessment(Result):
             well as was asked. "do not use" if it did not converge, the data push a
             parameter beyond its bound, or it misses them by far, see `MISSED` and
             `FAR_OUT`. Otherwise "take with care".
-        reasons: Why it is no more than that. First what contradicts the model or has an
-            unknown effect, then the others by how much they may change a value.
+        reasons: Why it is no more than that, the most important first: what makes the
+            values useless, other values that fit as well, what contradicts the model,
+            then the others by how much they may change a value.
         contradicted: Whether the model contradicts the data.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -197,9 +198,9 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
     ]
     checks += [*_too_coarse(result, report), *_unseen(report)]
-    checks += _rivals(result, report)
     checks.sort(key=lambda check: -np.nan_to_num(check[0], nan=np.inf))
-    reasons = [*fatal, *result.doubts, *filter(None, [result.repeated])]
+    reasons = [*fatal, *_rivals(result), *result.doubts]
+    reasons += filter(None, [result.repeated])
     reasons += [*result.contact_doubts, *(reason for _, reason in checks)]
     if result.left_out:
         reasons.append(
@@ -309,19 +310,20 @@ def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[Chec
     return [(UNDERRATED * change, words)]
 
 
-def _rivals(result: CalibrationResult, report: Identifiability) -> Iterator[Check]:
+def _rivals(result: CalibrationResult) -> Iterator[str]:
     """Name other optima that the data hardly exclude, if several starts were tried."""
     if result.starts is None or not result.starts.optima:
         return
     best, *others = result.starts.optima
     allowed = 0.5 * result.uncertainty.level**2 * float(chdtri(1, 0.05))
-    scaled = lambda of: np.asarray(
-        result.space.to_scaled(jnp.array([*of.values.values()]))
-    )
+    units = {q.name: q.unit for q in result.space.parameters}
     for other in others:
         if other.cost - best.cost <= allowed:
+            values = ", ".join(
+                f"{name} = {readable_values([value], units[name])}"
+                for name, value in other.values.items()
+            )
             yield (
-                float(np.max(np.abs(scaled(other) - scaled(best)) / report.asked)),
-                f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "
-                f"best {best.cost:.3g}).",
+                f"Other values fit as well: {values} (cost {other.cost:.3g}, the best "
+                f"{best.cost:.3g})."
             )

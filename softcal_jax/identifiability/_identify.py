@@ -55,7 +55,7 @@ from softcal_jax.identifiability._spread import (
     spread_of,
     verdict,
 )
-from softcal_jax.inference import LinearModel, independent
+from softcal_jax.inference import ANY_ANGLE, LinearModel, error_budget, independent
 from softcal_jax.unknowns import Setting, compile_considered, considered_errors
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
@@ -129,12 +129,15 @@ def _outlooks(
     alone: Spread,
 ) -> tuple[ParameterOutlook, ...]:
     """Convert spreads in units of the asked standard errors to SI."""
-    slope, ratios = space.slopes(z), spread.errors()
+    slope = space.slopes(z)
     in_si = slope * asked
-    errors, data_only = in_si * ratios, in_si * alone.errors()
+    radians = np.array([q.unit == "rad" for q in space.parameters])
+    # What knows an angle no better than its range does not see it.
+    seen = lambda std: np.where(radians & (std > ANY_ANGLE), np.inf, std)
+    errors, data_only = (seen(in_si * s.errors()) for s in (spread, alone))
+    ratios = errors / in_si
     weights = np.asarray(space.prior_weights())
     values = np.asarray(space.from_scaled(jax.device_put(z)))
-    radians = np.array([q.unit == "rad" for q in space.parameters])
     absolute = radians | (values == 0.0)
     return tuple(
         ParameterOutlook(
@@ -197,15 +200,14 @@ def identify(
         uncertain=uncertain,
         progress=progress,
     )
-    return identifiability(
-        seen.linear,
-        seen.space,
-        seen.z,
-        model=model,
-        W_ep=seen.W_ep,
-        W_pp=seen.W_pp,
-        precision=precision,
+    at_z = seen.linear, seen.space, seen.z
+    report = identifiability(
+        *at_z, model=model, W_ep=seen.W_ep, W_pp=seen.W_pp, precision=precision
     )
+    budget = error_budget(
+        *at_z, noise_is_known=True, uncertain=uncertain or Uncertain()
+    )
+    return replace(report, budget=budget)
 
 
 class Survey(Module):

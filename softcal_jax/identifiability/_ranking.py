@@ -1,42 +1,37 @@
-"""Rank configurations that might be measured next."""
+"""Rank configurations that might be measured next, and find the fewest that suffice."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from itertools import combinations
 
 import numpy as np
 
 from softcal_jax._module import Module, Result
+from softcal_jax._names import listed
 from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable_unit
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import EquilibriumProgress, Model, NewtonSettings
 from softcal_jax.fields import PRECISION, Uncertain, asked_errors
-from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
-from softcal_jax.identifiability._result import number
-from softcal_jax.identifiability._spread import information, named_directions, spread_of
-from softcal_jax.inference import LinearModel
+from softcal_jax.identifiability._identify import AnyVector, Parameters, survey
+from softcal_jax.identifiability._spread import IDENTIFIABLE_UP_TO, spread_of
+from softcal_jax.inference import readable_error
 
-NOTHING = 10.0
-"""Standard error, over the asked one, that stands for knowing nothing [-].
+MOST_TOGETHER = 4  # most candidates that are combined to reach the target
 
-With the default precision a factor of e on a value. It gives the uncertainty a volume
-where neither data nor prior see a direction; bounds do not, as users type them freely.
-"""
-
-HARDLY = 1.05  # factor on a standard error below which a candidate hardly helps [-]
+READINGS = 2, 4, 10, 30, 100, 300, 1000
+"""Readings of each pose in place of one, of which the fewest that suffice is named."""
 
 
 class Gain(Module):
-    """What one candidate would add if it were measured as well.
+    """What candidates would add if they were measured as well.
 
     Attributes:
-        name: Name of the candidate.
-        d_gain: log det(M + J) - log det M, see `rank_configurations` [nat].
-        e_gain: Increase of the smallest eigenvalue of M [-].
-        blind_left: Number of directions that it leaves unidentifiable.
-        parameter: Parameter whose standard error falls most, relative to the asked one.
+        name: Name of the candidate, or of several.
+        errors: Expected standard errors of the parameters with it, over those that are
+            asked for [-].
+        parameter: Parameter whose error falls most, in these units; with an error that
+            was infinite first.
         before: Its standard error without the candidate, in SI; infinite where nothing
             sees it.
         after: Its standard error with it, in SI.
@@ -45,9 +40,7 @@ class Gain(Module):
     """
 
     name: str
-    d_gain: float
-    e_gain: float
-    blind_left: int
+    errors: Float[HostArray, " n_p"]
     parameter: str
     before: float
     after: float
@@ -55,29 +48,18 @@ class Gain(Module):
     unit: str
 
     @property
-    def volume(self) -> float:
-        """Factor on the volume of the uncertainty ellipsoid, exp(-d_gain / 2) [-]."""
-        return float(np.exp(-0.5 * self.d_gain))
+    def cost(self) -> tuple[int, float]:
+        """Number of blind parameters, and the squared errors of the others [-]."""
+        blind = np.isinf(self.errors)
+        return int(blind.sum()), float(np.sum(self.errors[~blind] ** 2))
 
     @property
     def effect(self) -> str:
-        """The standard error that falls most, like "E of tip: 101 to 4.1 kPa"."""
-        if not np.isfinite(self.after):
-            return f"{self.parameter}: still blind"
-        factor, unit = readable_unit([self.value], self.unit)
-        before = number(factor * self.before) if np.isfinite(self.before) else "blind"
-        after = number(factor * self.after)
-        return f"{self.parameter}: {before} to {after} {unit}".rstrip()
-
-    @property
-    def words(self) -> str:
-        """What the candidate does, as the end of a sentence."""
-        if not np.isfinite(self.after) or self.before < HARDLY * self.after:
-            return "hardly changes any standard error"
-        if np.isinf(self.before):
-            return f"reveals a direction that was blind ({self.effect})"
-        ratio = self.before / self.after
-        return f"reduces a standard error {number(ratio, 2)}-fold ({self.effect})"
+        """What becomes of that parameter: "expected error of E: 12 % -> 7 %"."""
+        ends = [
+            readable_error(e, self.value, self.unit) for e in (self.before, self.after)
+        ]
+        return f"expected error of {self.parameter}: {ends[0]} -> {ends[1]}"
 
 
 class Unranked(Module):
@@ -97,65 +79,38 @@ class Ranking(Result):
     Attributes:
         gains: One entry per candidate that can be ranked.
         unranked: The others, with the reason.
-        n_parameters: Number of parameters.
-        blind_before: Number of directions that no measured configuration identifies.
+        reached: Which fewest candidates reach the target, or what else would, in a
+            sentence.
+        helps: Whether the best one lowers the errors.
     """
 
     gains: tuple[Gain, ...]
     unranked: tuple[Unranked, ...]
-    n_parameters: int
-    blind_before: int
+    reached: str
+    helps: bool
 
     @property
     def headline(self) -> str:
         """Which candidate to measure next, in a sentence."""
         if not self.gains:
             return "No candidate can be ranked."
+        if not self.helps:
+            return "No candidate lowers the errors: know what is held fixed better."
         best = self.gains[0]
-        if best.d_gain <= 0.0:
-            fewer = ", or calibrate fewer parameters" if self.blind_before else ""
-            return (
-                "No candidate reduces the overall uncertainty: measure what is held "
-                f"fixed more accurately{fewer}."
-            )
-        return f"Candidate {best.name!r} is the most informative: it {best.words}."
+        return f"Candidate {best.name!r} tells most: {best.effect}."
 
     @property
     def tabulated(self) -> TextTable:
         """What each candidate would add, in texts."""
-        head = "candidate, D gain [nat], volume, E gain, blind left, standard error"
-        rows = [
-            (
-                gain.name,
-                *map(number, (gain.d_gain, gain.volume, gain.e_gain)),
-                f"{gain.blind_left} of {self.n_parameters}",
-                gain.effect,
-            )
-            for gain in self.gains
-        ]
-        return text_table("Candidates", head.split(", "), rows)
-
-    @property
-    def legend(self) -> str:
-        """What the columns of the table mean."""
-        text = (
-            f"Without a candidate, {self.blind_before} of {self.n_parameters} "
-            "directions are blind. Volume: factor on the volume of the uncertainty, "
-            "exp(-D gain / 2). E gain: information added in the worst direction, in "
-            "units of that which gives the target standard error."
-        )
-        if any(gain.d_gain < 0.0 for gain in self.gains):
-            text += (
-                " D gain below 0: the fit weights readings by their noise alone, and "
-                "the pose adds more error from what is held fixed (clamp, loads, mesh) "
-                "than information."
-            )
-        return text
+        rows = [(gain.name, gain.effect) for gain in self.gains]
+        return text_table("Candidates", ("candidate", "what falls most"), rows)
 
     def __str__(self) -> str:
-        """Describe the best candidate, and tabulate all."""
-        table = [*self.tabulated.lines(), self.legend] if self.gains else []
-        return "\n".join([self.headline, *table, *map(str, self.unranked)])
+        """Describe the best candidate, tabulate all, and say what would suffice."""
+        table = self.tabulated.lines() if self.gains else []
+        return "\n".join(
+            [self.headline, *table, *map(str, self.unranked), self.reached]
+        )
 
 
 def rank_configurations(
@@ -173,13 +128,11 @@ def rank_configurations(
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
-    Let G be the compliances in units of the noise per asked standard error, P the
-    information of stated priors, M = I / NOTHING^2 + P + G^T G that of prior and
-    configurations, and J = G_c^T G_c that of a candidate; errors that are considered
-    reduce both. Candidates are ordered by log det(M + J) - log det M (D-optimality;
-    Chaloner and Verdinelli, Statistical Science 10, 1995). The increase of the smallest
-    eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
-    the uncertainty, E only the worst one.
+    Candidates are ordered by the sum of the squared standard errors of the parameters
+    that they leave, each in units of the one that is asked for (A-optimality; Chaloner
+    and Verdinelli, Statistical Science 10, 1995), by all causes, and first by how many
+    parameters stay blind. What suffices is sought among all pairs, and beyond that by
+    adding one candidate after another.
 
     The `configurations` are measured already, and may be none; the `candidates` may be
     measured next, and need other names. Candidates without an equilibrium or markers
@@ -205,66 +158,65 @@ def rank_configurations(
     )
     names = [c.name for c in tried]
     asked = asked_errors(seen.space, seen.z, precision, model=model)
-    in_asked = seen.linear.per(asked)
-    before = _knowledge(in_asked.without(*names))
-    gains, unranked = [], []
+    in_si = seen.space.slopes(seen.z) * asked
+    values = np.asarray(seen.space.from_scaled(seen.z))
+
+    def with_these(*chosen: str, jitter: float = 1.0) -> Gain:
+        left_out = [name for name in names if name not in chosen]
+        linear = seen.linear.without(*left_out).with_jitter(jitter)
+        errors = spread_of(linear.per(asked)).errors()
+        before = errors if not chosen else nothing.errors
+        fall = np.nan_to_num(before - errors, posinf=np.inf)  # inf - inf: still blind
+        i = int(np.argmax(fall if chosen else errors))
+        return Gain(
+            name=listed(chosen),
+            errors=errors,
+            parameter=seen.space.names[i],
+            before=float(in_si[i] * before[i]),
+            after=float(in_si[i] * errors[i]),
+            value=float(values[i]),
+            unit=seen.space.parameters[i].unit,
+        )
+
+    nothing = with_these()
+    reasons = dict(zip(names, seen.failures[len(known) :], strict=True))
+    rows = set(seen.linear.pose.tolist())
     for k, name in enumerate(names, start=len(known)):
-        reason = seen.failures[k]
-        if not reason and not np.any(in_asked.pose == k):
-            reason = "it has no markers to measure"
-        if reason:
-            unranked.append(Unranked(name, reason))
-            continue
-        others = [other for other in names if other != name]
-        after = _knowledge(in_asked.without(*others))
-        gains.append(_gain(name, seen, asked, before=before, after=after))
-    gains.sort(key=lambda gain: -gain.d_gain)
-    return Ranking(tuple(gains), tuple(unranked), len(asked), before.blind)
+        reasons[name] = (
+            reasons[name] or "" if k in rows else "it has no markers to measure"
+        )
+    usable = [name for name in names if not reasons[name]]
+    gains = sorted(map(with_these, usable), key=lambda gain: gain.cost)
+    return Ranking(
+        gains=tuple(gains),
+        unranked=tuple(Unranked(n, reason) for n, reason in reasons.items() if reason),
+        reached=_reached(with_these, usable, f"{100.0 * precision:.3g} %"),
+        helps=bool(gains) and gains[0].cost < nothing.cost,
+    )
 
 
-class _Knowledge(NamedTuple):
-    """What configurations tell together, in units of the asked standard errors.
-
-    `blind` is the number of directions that are not identifiable.
-    """
-
-    errors: Float[HostArray, " n_p"]
-    information: Float[HostArray, "n_p n_p"]
-    blind: int
-
-
-def _knowledge(linear: LinearModel) -> _Knowledge:
-    """Sum up what configurations tell."""
-    spread = spread_of(linear)
-    directions = named_directions(spread, linear.names)
-    blind = sum(d.verdict == "not identifiable" for d in directions)
-    least = np.diag(linear.prior_weights**2 + NOTHING**-2.0)
-    return _Knowledge(spread.errors(), least + information(linear), blind)
-
-
-def _gain(
-    name: str,
-    seen: Survey,
-    asked: Float[HostArray, " n_p"],
-    *,
-    before: _Knowledge,
-    after: _Knowledge,
-) -> Gain:
-    """Compare what is known without and with a candidate."""
-    bounded = [np.sqrt(np.diag(np.linalg.inv(k.information))) for k in (before, after)]
-    best = int(np.argmax(bounded[0] - bounded[1]))
-    parameter = seen.space.parameters[best]
-    in_si = (seen.space.slopes(seen.z) * asked)[best]
-    value = np.asarray(seen.space.from_scaled(seen.z))[best]
-    old, new = (np.linalg.eigvalsh(k.information) for k in (before, after))
-    return Gain(
-        name=name,
-        d_gain=float(np.sum(np.log(new)) - np.sum(np.log(old))),
-        e_gain=float(new[0] - old[0]),
-        blind_left=after.blind,
-        parameter=parameter.name,
-        before=float(in_si * before.errors[best]),
-        after=float(in_si * after.errors[best]),
-        value=float(value),
-        unit=parameter.unit,
+def _reached(with_these: Callable[..., Gain], names: Sequence[str], target: str) -> str:
+    """Say which fewest candidates reach a target, or what else it would take."""
+    reached = lambda gain: bool(np.max(gain.errors) <= IDENTIFIABLE_UP_TO)
+    best, chosen = with_these(), ()
+    for n in range(1, min(len(names), MOST_TOGETHER) + 1):
+        if reached(best):
+            break
+        beside = [(*chosen, name) for name in names if name not in chosen]
+        sets = beside if n > 2 else [*combinations(names, n)]
+        each = [(with_these(*those), those) for those in sets]
+        best, chosen = min(each, key=lambda one: (not reached(one[0]), one[0].cost))
+    if reached(best):
+        fewest = f"Fewest that reach {target}: {best.name}; {best.effect}."
+        return fewest if chosen else f"The poses that are there reach {target}."
+    beside = f"with {best.name} ({best.effect})" if chosen else "as it is"
+    for n in READINGS:
+        if reached(with_these(*chosen, jitter=n**-0.5)):
+            return (
+                f"No {MOST_TOGETHER} candidates reach {target}: {beside}, it takes {n} "
+                f"readings of each pose, or {n**-0.5:.2g} times the noise."
+            )
+    return (
+        f"Nothing in reach gives {target}: {beside}, know what is held fixed better, "
+        "or calibrate fewer parameters."
     )

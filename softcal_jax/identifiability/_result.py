@@ -9,12 +9,14 @@ from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._spread import (
+    LOST,
     WEAK_UP_TO,
     Conditioning,
     Direction,
     Spread,
     Verdict,
 )
+from softcal_jax.inference import ErrorBudget
 
 MOST_SHOWN = 8  # most blind directions that are listed; the others are only counted
 
@@ -64,6 +66,8 @@ class Identifiability(Result):
             without one, enough for "weakly identifiable".
         conditioning: Singular values and condition numbers.
         n_data: Number of measured coordinates.
+        budget: Standard errors split by cause, before anything is measured; afterwards
+            it is that of the calibration.
     """
 
     verdict: Verdict
@@ -76,6 +80,7 @@ class Identifiability(Result):
     informed: int
     conditioning: Conditioning
     n_data: int
+    budget: ErrorBudget | None = None
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -128,20 +133,26 @@ class Identifiability(Result):
             return ("Nothing is measured: add markers to the configurations.",)
         if self.verdict == "identifiable":
             return ()
+        worst = max(self.parameters, key=lambda p: p.ratio)
+        if self.budget is not None and math.isfinite(worst.ratio):
+            advice = self.budget.advice(worst.name)
+            return (advice[0].upper() + advice[1:],)
         missing, first = self.n_parameters - self.n_data, ""
         if missing > 0:
             more = f"{missing} measured coordinate{'s' * (missing > 1)}"
             first = f"The data lack at least {more}. "
         return (
             f"{first}Add a configuration (another load or orientation, the other end "
-            "clamped) or markers, or reduce the noise; rank candidates to find the "
-            "most informative configuration. Or calibrate fewer parameters.",
+            "clamped) or markers: `softcal identify` says which. Or calibrate fewer "
+            "parameters.",
         )
 
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
         n_data, n_p = self.n_data, self.n_parameters
         lines = [self.headline, *self.tabulated.lines(), self.scale]
+        if self.budget is not None and n_data:
+            lines += str(self.budget).splitlines()
         worst_first = self.blind[::-1]
         if worst_first:
             lines.append(
@@ -190,8 +201,8 @@ def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
 
 
 def percent(ratio: float) -> str:
-    """Write a standard error over the asked one, "blind" if it is infinite."""
-    return f"{number(100.0 * ratio)} %" if math.isfinite(ratio) else "blind"
+    """Write a standard error over the asked one, "blind" if it is far beyond."""
+    return f"{number(100.0 * ratio)} %" if ratio <= LOST else "blind"
 
 
 def number(value: float, digits: int = 3) -> str:

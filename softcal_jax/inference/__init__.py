@@ -38,11 +38,13 @@ from softcal_jax.inference._residuals import (
     recording_estimates as recording_estimates,
 )
 from softcal_jax.inference._uncertainty import (
+    ANY_ANGLE as ANY_ANGLE,
     EXACT as EXACT,
     UNLIKELY as UNLIKELY,
     Cause as Cause,
     ErrorBudget as ErrorBudget,
     Uncertainty as Uncertainty,
     error_budget as error_budget,
+    readable_error as readable_error,
     uncertainty as uncertainty,
 )

@@ -44,6 +44,9 @@ REMEDIES = {
 }
 """What helps against a cause; that of the mesh is named by its error."""
 
+ANY_ANGLE = np.pi / np.sqrt(12.0)
+"""Standard deviation of an axis of which nothing is known: 52 degrees [rad]."""
+
 BETTER = 0.1, 0.5  # by how much a cause may be better known, at most and at least [-]
 
 SMALL = 0.1  # share of the standard error below which a sentence leaves a cause out [-]
@@ -259,19 +262,25 @@ class ErrorBudget(Module):
         )
 
     def readable(self, i: int, std: float) -> str:
-        """Write an error, given in SI: in percent, but for angles and offsets."""
-        if np.isnan(std):
-            return "an unknown amount"
-        value, unit = abs(float(self.values[i])), self.units[i]
-        if unit in ("rad", "m") or value == 0.0:
-            factor, shown = readable_unit([std], unit)
-            return f"{factor * std:.2g} {shown}".rstrip()
-        percent = 100.0 * std / value
-        return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
+        """Write an error, given in SI, see `readable_error`."""
+        return readable_error(std, float(self.values[i]), self.units[i])
 
     def __str__(self) -> str:
         """Write one line for each parameter."""
         return "\n".join(f"{name}: {self.sentence(name)}" for name in self.names)
+
+
+def readable_error(std: float, value: float, unit: str) -> str:
+    """Write a standard error in SI: in percent, but for angles and offsets."""
+    if np.isnan(std):
+        return "an unknown amount"
+    if np.isinf(std) or (unit == "rad" and std > ANY_ANGLE):
+        return "blind"
+    if unit in ("rad", "m") or value == 0.0:
+        factor, shown = readable_unit([std], unit)
+        return f"{factor * std:.2g} {shown}".rstrip()
+    percent = 100.0 * std / abs(value)
+    return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
 
 
 def error_budget(

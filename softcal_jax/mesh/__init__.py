@@ -24,6 +24,7 @@ from softcal_jax.mesh._selection import (
     Cylinder as Cylinder,
     Plane as Plane,
     Sphere as Sphere,
+    box_faces as box_faces,
     node_indices as node_indices,
     place as place,
     select_faces as select_faces,

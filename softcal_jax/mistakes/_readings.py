@@ -27,8 +27,12 @@ Kind = Literal[
 ]
 """What people do."""
 
-FACTORS = (9.81, 10.0, 25.4, 1000.0)
-"""Kilograms, of forces only, centimetres, inches and milli [-]."""
+FACTORS = {
+    "m": (10.0, 25.4, 1000.0),
+    "N": (4.448, 9.81, 10.0, 1000.0),
+    "Pa": (6.895, 10.0, 100.0, 1000.0),
+}
+"""Between units that are mixed up: cm and inch; lbf and kgf; psi, mbar and bar [-]."""
 
 MOST_SWAPS = 100
 """Most exchanges that are tried: of markers everywhere, in one pose, and of poses."""
@@ -254,7 +258,7 @@ def _mapped(readings: Readings, by: HostArray, rest: HostArray) -> HostArray:
 
 def _scaled(readings: Readings) -> Iterator[Change]:
     """Read lengths in another unit: positions, or how far points moved."""
-    scales = [f for factor in FACTORS[1:] for f in (factor, 1.0 / factor)]
+    scales = [f for factor in FACTORS["m"] for f in (factor, 1.0 / factor)]
     for scale, (k, what) in product(scales, enumerate(("positions", "motion"))):
         measured = _mapped(readings, scale * np.eye(3), k * readings.at_rest)
         words = scaling(scale, f"the measured {what}")

@@ -18,7 +18,7 @@ from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
 from softcal_jax.mistakes._readings import Change, Kind, Readings, Variant, changes
 from softcal_jax.mistakes._refit import Refit, Refitter, Simulated
-from softcal_jax.mistakes._statements import Simulator, clamps, forces
+from softcal_jax.mistakes._statements import Simulator, clamps, commands, forces
 
 CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
 
@@ -82,8 +82,9 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     Tried are: markers swapped in all configurations or in one, or lost at (0, 0, 0);
     readings of two configurations exchanged; a frame turned by 90 or 180 degrees,
     mirrored, or with axes exchanged; gravity, loads and actuation of the wrong sign;
-    these, or lengths, off by a factor of 9.81, 10, 25.4 or 1000; and a clamp that
-    reaches up to a marker. After each, the parameters are fitted again to first order.
+    these, or lengths, off by a factor between units, see `FACTORS`; a marker that
+    stands elsewhere; and a clamp of another face, or one that reaches up to a marker.
+    After each, the parameters are fitted again to first order.
 
     A mistake is named if without it the residuals are down to the noise: no more than
     `AT_NOISE` times what is stated of noise and budget, where a `std` is stated. It
@@ -147,6 +148,8 @@ class _Search:
         self.n_considered, self._limit = 0, np.inf
         self._refit()
         self._limit = CLEARLY * self.as_is.squares
+        if result.uncertainty.noise == "stated":
+            self._limit = max(self._limit, float(chdtri(self.dof, UNLIKELY)))
 
     def run(self) -> None:
         """Try all kinds of changes, until one explains the data well."""
@@ -163,7 +166,7 @@ class _Search:
         if start is None:
             return
         self._descend()
-        for kind in (forces, clamps):
+        for kind in (forces, commands, clamps):
             if self._enough():
                 return
             stated, n_considered = kind(self.simulator, self.refitter, start)
@@ -171,9 +174,15 @@ class _Search:
             for change in stated:
                 if self._enough() and change.expected > ALIKE * stated[0].expected:
                     break
+                if change.variant in self.simulated:
+                    continue
                 self.changes.append(change)
-                if self._simulate(change.variant, change.z) is not None:
-                    self._descend()
+                if self._simulate(change.variant, change.z) is None:
+                    continue
+                if np.isinf(change.expected):  # superposition has not led near
+                    fit = self._best(change)
+                    self._simulate(change.variant, fit.about.z + fit.step)
+                self._descend()
 
     def _enough(self) -> bool:
         """Whether a change explains the data so well that no more are tried."""
@@ -186,7 +195,7 @@ class _Search:
         """Simulate the best fit, until it is one that holds."""
         for _ in range(MOST_SIMULATED):
             best = min(self.fits, key=lambda fit: fit.squares, default=self.as_is)
-            if best.near or best.squares > CLEARLY * self.as_is.squares:
+            if best.near or best.squares > self._limit:
                 return
             about = best.about
             self._simulate(best.change.variant, about.z + best.step)
@@ -232,8 +241,8 @@ class _Search:
     def _explains(self, fit: Refit) -> bool:
         """Whether a change explains the data clearly better."""
         least = float(np.log(max(self.n_considered, 1) / UNLIKELY))
-        clearly = fit.squares <= CLEARLY * self.as_is.squares
-        if not (fit.near and clearly and self._evidence(fit, self.as_is) >= least):
+        clearly = fit.near and fit.squares <= self._limit
+        if not clearly or self._evidence(fit, self.as_is) < least:
             return False
         at_noise = not self.stated or self.refitter.level(fit) <= AT_NOISE
         return at_noise and not self.refitter.rms(fit) > self.refitter.rms(self.as_is)

@@ -17,12 +17,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from softcal_jax._lanes import lane_of, stacked
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration import CalibrationProblem, Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Workers
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh import box_faces, volumes
 from softcal_jax.mistakes._readings import (
     FACTORS,
     Change,
@@ -41,15 +41,12 @@ FORCES: Mapping[str, Callable[[ConfigurationArrays], Any]] = {
 }
 """What deforms a pose."""
 
-GRAVITIES = 1.0, 30.0  # from the Moon's to Jupiter's [m/s2]
+GRAVITIES = 9.7, 9.9  # on the Earth, as far as people round it [m/s2]
 
 MOST_TRIED, MOST_CLAMPS = 4, 2
 """Most changes of forces, and most lengths of the clamps, that are simulated."""
 
-BETTER = 0.5
-"""Share of the squares that superposition must leave at most, of those now [-]."""
-
-FLAT = 0.01  # depth of a face, over the size of the body across it [-]
+BEARABLE = 1e-4, 1.0  # what actuators do over what moduli resist [-]
 
 STILL, QUIET = 0.05, 3.0
 """Largest motion of a marker in a clamp, over that of the one that moves most, or over
@@ -71,7 +68,7 @@ class Simulator:
         """Begin with the displacement of each pose, as it was stated [m]."""
         self.problem, self.workers = problem, workers
         self.poses = list(problem.configurations)
-        self.faces = faces(problem.model.mesh)
+        self.faces = box_faces(problem.model.mesh)
         acting = lambda of: [bool(np.any(np.asarray(of(pose)))) for pose in self.poses]
         acts = {force: np.array(acting(of)) for force, of in FORCES.items()}
         self.acts = {force: where for force, where in acts.items() if where.any()}
@@ -163,12 +160,35 @@ def forces(
         squares = float(np.sum((measured - share * motion) ** 2))
         return change._replace(z=z, expected=squares)
 
-    as_is = Change("wrong sign", "", 0, readings.measured)
-    as_is = expected(as_is._replace(variant=(Stated(),) * len(readings.poses)))
     every = list(map(expected, _other_forces(simulator, readings)))
-    tried = [change for change in every if change.expected < BETTER * as_is.expected]
-    tried.sort(key=lambda change: (change.expected, change.rank))
-    return tried[:MOST_TRIED], len(every)
+    every.sort(key=lambda change: (change.expected, change.rank))
+    return every[:MOST_TRIED], len(every)
+
+
+def commands(
+    simulator: Simulator, refitter: Refitter, start: Simulated
+) -> tuple[list[Change], int]:
+    """Return factors on the actuation of all poses, which `forces` has counted.
+
+    What a pressure does when it is ten times as large, no state near rest tells: each
+    is simulated that is neither too large for the moduli nor far too small.
+    """
+    model, acts = simulator.problem.model, simulator.acts.get("actuation")
+    value = np.abs(np.asarray(simulator.problem.configurations.actuation.value))
+    moduli = [q.start for q in refitter.space.parameters if q.unit == "Pa"]
+    if acts is None or not moduli:
+        return [], 0
+    area = float(volumes(model.mesh).sum()) / model.mesh.size
+    kinds = model.mechanism.actuators.kinds
+    areas = np.array([1.0 if kind.force_unit == "Pa" else area for kind in kinds])
+    share = float(np.max(value / (max(moduli) * areas)))
+    tried = []
+    for change in _other_forces(simulator, refitter.readings):
+        factors = {change.variant[c].actuation for c in np.flatnonzero(acts)}
+        if change.kind == "wrong factor" and len(factors) == 1 and factors != {1.0}:
+            if BEARABLE[0] <= share * max(factors) <= BEARABLE[1]:
+                tried.append(change._replace(z=start.z, expected=np.inf))
+    return tried, 0
 
 
 def _motions(
@@ -196,13 +216,18 @@ def _motions(
 def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
     """Yield all changes of forces: in all poses, and in one.
 
-    Cables only pull, and gravity stays one of a planet.
+    Cables only pull, and gravity is that of the Earth.
     """
     poses = range(len(readings.poses))
-    one_way = np.any(simulator.problem.model.mechanism.actuators.unilateral)
+    actuators = simulator.problem.model.mechanism.actuators
+    one_way, units = (
+        np.any(actuators.unilateral),
+        {k.force_unit for k in actuators.kinds},
+    )
     size = np.linalg.norm(simulator.problem.configurations.gravity, axis=1)
-    factors = [-1.0, *chain(*((f, 1.0 / f) for f in FACTORS))]
     for force, acts in simulator.acts.items():
+        unit = "Pa" if force == "actuation" and units == {"Pa"} else "N"
+        factors = [-1.0, *chain(*((f, 1.0 / f) for f in FACTORS[unit]))]
         where = np.flatnonzero(acts).tolist()
         scopes = [where, *([c] for c in where if len(where) > 1)]
         for scope, factor in product(scopes, factors):
@@ -216,7 +241,7 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
                 continue
             words = f"Reversing {what}" if sign else scaling(factor, what)
             # The weight of a mass is the commoner slip than a factor of ten.
-            rank = 4 if sign else 6 + (factor in (10.0, 0.1))
+            rank = 4 if sign else 6 + (unit == "N" and factor in (10.0, 0.1))
             stated = Stated(**{force: factor})
             yield Change(
                 kind="wrong sign" if sign else "wrong factor",
@@ -225,19 +250,6 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
                 measured=readings.measured,
                 variant=tuple(stated if c in scope else Stated() for c in poses),
             )
-
-
-def faces(mesh: TetMesh) -> dict[str, Int[HostArray, " n"]]:
-    """Return the nodes by which a body may be held: on the sides of its box."""
-    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    near = FLAT * (high - low)
-    return {
-        f"the face of {which} {axis}": np.flatnonzero(
-            np.abs(mesh.points[:, k] - end[k]) <= near[k]
-        )
-        for which, end in (("least", low), ("largest", high))
-        for k, axis in enumerate("xyz")
-    }
 
 
 def _other_face(simulator: Simulator, readings: Readings) -> list[Change]:

@@ -5,10 +5,13 @@ from softcal_jax.project._goals import inverse_as_typed as inverse_as_typed
 from softcal_jax.project._load import (
     CHANGE as CHANGE,
     Guess as Guess,
-    ProjectWarning as ProjectWarning,
     guesses_left as guesses_left,
     load_mesh as load_mesh,
     load_project as load_project,
+)
+from softcal_jax.project._plausible import (
+    ProjectWarning as ProjectWarning,
+    implausible as implausible,
 )
 from softcal_jax.project._printed import (
     printed_project as printed_project,

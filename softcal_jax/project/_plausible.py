@@ -1,6 +1,6 @@
 """What the numbers of a project say of mistakes, before anything is solved."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import chain, islice
 from typing import NamedTuple
 
@@ -10,13 +10,14 @@ from scipy.spatial import KDTree
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._names import listed
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     Configuration,
+    EffectorRecord,
     ImposedForce,
     configuration_lanes,
     farthest,
@@ -118,9 +119,8 @@ def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[st
         return
     yield from islice(_gravity(posed), 1)
     yield from _stiffness(model, posed)
-    seen = [pose for pose in _seen(model, posed) if pose.points]
-    kinds = (_places, _at_rest, _held, _against)
-    yield from islice(chain.from_iterable(kind(model, seen) for kind in kinds), 1)
+    misread = (_misread(model, seen) for seen in _seen(model, posed))
+    yield from islice(chain.from_iterable(misread), 1)
 
 
 def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
@@ -196,40 +196,27 @@ def _stiffness(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str
             )
 
 
-class _Point(NamedTuple):
-    """A point that was measured: its motion, its noise and its place at rest [m].
-
-    `on_held` says whether it stands where the body is held.
-    """
-
-    motion: Float[HostArray, "3"]
-    noise: float
-    at_rest: Float[HostArray, "3"]
-    on_held: bool
-
-    @property
-    def size(self) -> float:
-        """How far it moved [m]."""
-        return float(np.linalg.norm(self.motion))
-
-
 class _Seen(NamedTuple):
-    """A configuration, its key in the file, and the points that were measured in it.
+    """A configuration, by its key in the file, and the points that were measured in it.
 
-    They moved since `before`, or since rest without one; `held` are the places of nodes
-    that cannot move [m].
+    They moved by `u` since the configuration `before`, or since rest without one, with
+    the size of their `noise`; `on_held` flags those where the body is held, and `held`
+    are the nodes that cannot move [m].
     """
 
     key: str
     c: Configuration
     before: Configuration | None
-    points: dict[str, _Point]
+    points: list[EffectorRecord]
+    u: Float[HostArray, "n 3"]
+    noise: Float[HostArray, " n"]
+    on_held: Bool[HostArray, " n"]
     held: Float[HostArray, "n_held 3"]
 
-    @property
-    def farthest(self) -> str:
-        """Name of the point that moved most."""
-        return max(self.points, key=lambda name: self.points[name].size)
+    def moved(self, i: int) -> str:
+        """Write which point moved, and how far."""
+        size = readable_values([float(np.linalg.norm(self.u[i]))], "m", digits=3)
+        return f"{self.points[i].name!r} by {size}"
 
 
 def _seen(model: Model, posed: Mapping[str, Configuration]) -> Iterator[_Seen]:
@@ -238,108 +225,100 @@ def _seen(model: Model, posed: Mapping[str, Configuration]) -> Iterator[_Seen]:
     A reference may have a frame of its own, so only differences from it are checked.
     """
     lanes = configuration_lanes(model.mesh, [*posed.values()], model.mechanism)
-    named = {c.name: k for k, c in enumerate(posed.values())}
-    before = [named.get(c.displacement_from or "") for c in posed.values()]
-    moved = [motions(records) for records in lanes.effectors]
+    by_name = {c.name: c for c in posed.values()}
+    moved = {}
+    for c, records in zip(posed.values(), lanes.effectors, strict=True):
+        moved[c.name] = {n: np.nan_to_num(-u) for n, u in motions(records).items()}
+    references = {c.displacement_from for c in posed.values()}
     for k, (key, c) in enumerate(posed.items()):
-        lane, earlier = jax.device_get(lane_of(lanes.arrays, k)), before[k]
+        lane = jax.device_get(lane_of(lanes.arrays, k))
         held = lane.fixed.all(axis=1) & ~lane.imposed.any(axis=1)
-        since = moved[k] if earlier is None else moved[earlier]
-        points = {}
-        for r in lanes.effectors[k]:
-            if r.quantity != "point" or k in before or r.name not in since:
-                continue
-            u = (0.0 if earlier is None else since[r.name]) - r.error(r.at_rest)
-            weights = lane.effectors.weights[r.index]
-            on_held = held[lane.effectors.nodes[r.index][weights != 0.0]].all()
-            noise = float(np.linalg.norm(r.std[r.seen]))
-            points[r.name] = _Point(np.nan_to_num(u), noise, r.at_rest, bool(on_held))
-        since = None if earlier is None else [*posed.values()][earlier]
-        yield _Seen(key, c, since, points, model.mechanism.points[held])
-
-
-def _places(model: Model, seen: Sequence[_Seen]) -> Iterator[str]:
-    """Name a point that moved by more than any robot does."""
-    for pose in seen:
-        motion = {name: p.motion for name, p in pose.points.items()}
-        if (far := farthest(motion, model.mesh.size)) is not None:
-            yield f"{pose.key}.measured: {far}"
-
-
-def _at_rest(model: Model, seen: Sequence[_Seen]) -> Iterator[str]:
-    """Name a pose in which nothing acts and points moved, or the other way round."""
-    for pose in (pose for pose in seen if pose.before is None):
-        far, points = pose.points[pose.farthest], pose.points
-        acts = [what for what, size, _ in _acting(model, pose.c) if size]
-        moved = any(np.any(support.displacement) for support in pose.c.supports)
-        if not (acts or moved or pose.c.actuation or pose.c.bodies):
-            if far.size > SIGMAS * far.noise + SHARE * model.mesh.size:
-                yield (
-                    f"{pose.key}: nothing acts, and {pose.farthest!r} is "
-                    f"{_rounded(far.size, 'm')} from its place at rest. State gravity "
-                    "and loads, or correct the markers' places or the frame."
-                )
-        elif acts and len(points) > 1 and far.size < TAKEN * far.noise:
-            yield (
-                f"{pose.key}: every marker was measured at its place at rest, although "
-                f"{listed(acts)} acts. Places that were read in this pose are not "
-                "those at rest: take them from the drawing, or use displacement_from."
+        since = moved.get(c.displacement_from or "", dict.fromkeys(moved[c.name], 0.0))
+        points = [r for r in lanes.effectors[k] if r.quantity == "point"]
+        points = [r for r in points if r.name in moved[c.name] and r.name in since]
+        carry = lane.effectors.weights[[r.index for r in points]] != 0.0
+        free = carry & ~held[lane.effectors.nodes[[r.index for r in points]]]
+        if points and c.name not in references:
+            yield _Seen(
+                key=key,
+                c=c,
+                before=by_name.get(c.displacement_from or ""),
+                points=points,
+                u=np.array([moved[c.name][r.name] - since[r.name] for r in points]),
+                noise=np.array([np.linalg.norm(r.std[r.seen]) for r in points]),
+                on_held=~free.any(axis=1),
+                held=model.mechanism.points[held],
             )
 
 
-def _held(model: Model, seen: Sequence[_Seen]) -> Iterator[str]:
-    """Name a point that moved with what is held, or far away from it.
+def _misread(model: Model, seen: _Seen) -> Iterator[str]:
+    """Name motions that no robot makes, as it is held and loaded.
 
-    Strain changes its distance to the nearest held node, but does not multiply it.
+    Strain changes the distance of a point to the nearest held node, but does not
+    multiply it.
     """
-    for pose in (pose for pose in seen if len(pose.held)):
-        tree, away = KDTree(pose.held), {}
-        for name, p in pose.points.items():
-            apart, node = tree.query(p.at_rest)
-            now = np.linalg.norm(p.at_rest + p.motion - pose.held[node])
-            beyond = p.size if p.on_held else now - STRETCH * apart
-            away[name] = beyond - SIGMAS * p.noise - SHARE * model.mesh.size
-        name = max(away, key=away.__getitem__)
-        if away[name] > 0.0:
-            least = min(pose.points, key=lambda name: pose.points[name].size)
-            ends = [_rounded(pose.points[n].size, "m") for n in (name, least)]
-            where = "held" if pose.points[name].on_held else "next to what is held"
-            groups = listed([support.name for support in pose.c.supports])
+    sizes, surely = np.linalg.norm(seen.u, axis=1), SIGMAS * seen.noise
+    surely += SHARE * model.mesh.size
+    most, least = int(np.argmax(sizes)), int(np.argmin(sizes))
+    motion = {r.name: u for r, u in zip(seen.points, seen.u, strict=True)}
+    if (far := farthest(motion, model.mesh.size)) is not None:
+        yield f"{seen.key}.measured: {far}"
+    acts = [what for what, size, _ in _acting(model, seen.c) if size]
+    moved = any(np.any(support.displacement) for support in seen.c.supports)
+    others = moved or seen.c.actuation or seen.c.bodies or seen.before is not None
+    if not (acts or others) and sizes[most] > surely[most]:
+        yield (
+            f"{seen.key}: nothing acts, but markers moved, {seen.moved(most)}. State "
+            "gravity and loads, or correct the places of the markers or the frame."
+        )
+    if acts and not others and len(sizes) > 1 and np.all(sizes < TAKEN * seen.noise):
+        yield (
+            f"{seen.key}: every marker was measured at its place at rest, although "
+            f"{listed(acts)} acts. Places that were read in this pose are not those at "
+            "rest: take them from the drawing, or use displacement_from."
+        )
+    if len(seen.held):
+        places = np.array([r.at_rest for r in seen.points])
+        apart, node = KDTree(seen.held).query(places)
+        now = np.linalg.norm(places + seen.u - seen.held[node], axis=1)
+        beyond = np.where(seen.on_held, sizes, now - STRETCH * apart) - surely
+        worst = int(np.argmax(beyond))
+        if beyond[worst] > 0.0:
+            where = "where" if seen.on_held[worst] else "next to where"
+            groups = listed([support.name for support in seen.c.supports])
             yield (
-                f"{pose.key}.supports: {name!r} is {where} ({groups}), and moved by "
-                f"{ends[0]}; {least!r} moved least, by {ends[1]}. Is another part held?"
+                f"{seen.key}.supports: {where} {groups} holds, a marker moved: "
+                f"{seen.moved(worst)}; {seen.moved(least)} is least. Is another part "
+                "held?"
             )
+    if sizes[most] > surely[most] and _work(model, seen) < AGAINST:
+        yield (
+            f"{seen.key}: markers moved against gravity and loads, "
+            f"{seen.moved(most)}. Is gravity or a load reversed, or an axis of the "
+            "recording?"
+        )
 
 
-def _against(model: Model, seen: Sequence[_Seen]) -> Iterator[str]:
-    """Name poses in which the body moved against what acts on it.
+def _work(model: Model, seen: _Seen) -> float:
+    """Return the work of weight and loads over force times motion [-].
 
-    Weight and loads do work on a body that yields to them. Each node moves about as the
-    nearest point that was measured or is held.
+    It is positive for a body that yields to them; 1 where something else acts. Each
+    node moves about as the nearest point that was measured or is held.
     """
     mesh, mechanism = model.mesh, model.mechanism
-    if mechanism.bodies.names or mechanism.contacts.names:
-        return  # levers turn motions around
+    levers = mechanism.bodies.names or mechanism.contacts.names
+    poses = [seen.c] if seen.before is None else [seen.c, seen.before]
+    if levers or any(c.actuation for c in poses):
+        return 1.0
     mass = np.zeros(mesh.n_nodes)
     of_tets = np.asarray(model.density) * volumes(mesh) / 4.0
     np.add.at(mass, mesh.tets[:, :4], np.broadcast_to(of_tets, mesh.n_tets)[:, None])
-    weight = lambda c: mass[:, None] * np.array(c.gravity)
-    force = lambda c: sum((ld.nodal_forces(mesh) for ld in c.loads), weight(c))
-    for pose in (pose for pose in seen if not pose.c.actuation):
-        if pose.before is not None and pose.before.actuation:
-            continue
-        acts = force(pose.c) - (0.0 if pose.before is None else force(pose.before))
-        points = [*pose.points.values()]
-        motion = np.concatenate([[p.motion for p in points], np.zeros_like(pose.held)])
-        places = np.concatenate([[p.at_rest for p in points], pose.held])
-        nearest = KDTree(places).query(mesh.points)[1]
-        work = np.sum(acts * motion[nearest], axis=1)
-        sizes = np.linalg.norm(acts, axis=1) * np.linalg.norm(motion[nearest], axis=1)
-        far = pose.points[pose.farthest]
-        beyond = far.size > SIGMAS * far.noise + SHARE * mesh.size
-        if beyond and work.sum() < AGAINST * sizes.sum():
-            yield (
-                f"{pose.key}: markers moved against gravity and loads, most of all "
-                f"{pose.farthest!r}, by {_rounded(far.size, 'm')}. Is gravity or a "
-                "load reversed, or an axis of the recording?"
-            )
+    force = np.zeros((mesh.n_nodes, 3))
+    for sign, c in zip((1.0, -1.0), poses, strict=False):
+        force += sign * mass[:, None] * np.array(c.gravity)
+        force += sign * sum(load.nodal_forces(mesh) for load in c.loads)
+    places = np.concatenate([[r.at_rest for r in seen.points], seen.held])
+    u = np.concatenate([seen.u, np.zeros_like(seen.held)])
+    u = u[KDTree(places).query(mesh.points)[1]]
+    sizes = np.linalg.norm(force, axis=1) * np.linalg.norm(u, axis=1)
+    return float(np.sum(force * u) / max(np.sum(sizes), 1e-300))

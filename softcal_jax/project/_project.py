@@ -17,6 +17,7 @@ from softcal_jax.configurations import (
     Configuration,
     Registration,
     Traces,
+    beyond,
     configuration_lanes,
 )
 from softcal_jax.designs import DesignResult, design
@@ -251,10 +252,27 @@ class Project(Module):
             progress=progress,
         )
 
+    @property
+    def proposals(self) -> tuple[Configuration, ...]:
+        """What might be measured beside the candidates of the file, see `proposals`.
+
+        First the poses to be predicted that go beyond all that are fitted.
+        """
+        asked = (c for c in self.validation if beyond(self.calibration, c))
+        taken = {c.name for c in (*self.calibration, *self.candidates)}
+        proposed = identifiability.proposals(self.model, self.calibration)
+        named = {c.name: c for c in (*asked, *proposed)}
+        return tuple(c for name, c in named.items() if name not in taken)
+
     def rank_candidates(
-        self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
+        self,
+        *,
+        proposals: bool = False,
+        progress: Callable[[EquilibriumProgress], None] = lambda _: None,
     ) -> Ranking:
         """Rank the candidates, best first, by what they add to the configurations.
+
+        With `proposals` beside those of the file, if asked.
 
         Raises:
             ProjectError: If there are no parameters, candidates or markers.
@@ -262,13 +280,14 @@ class Project(Module):
         """
         self.check_identify()
         assert self.space is not None
-        if not self.candidates:
+        candidates = (*self.candidates, *(self.proposals if proposals else ()))
+        if not candidates:
             raise ProjectError(f"{self.path}: candidates: none; add [[candidates]].")
         return identifiability.rank_configurations(
             self.model,
             self.space,
             self.calibration,
-            self.candidates,
+            candidates,
             newton=self.newton,
             uncertain=self.uncertain,
             precision=self.precision,

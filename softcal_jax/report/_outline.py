@@ -21,6 +21,7 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     Support,
     Unstated,
+    beyond,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model, omission_sentences, omissions
@@ -104,6 +105,10 @@ def outline(
     rows = [_configuration(model, c, roles[c.name]) for c in posed]
     head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
     yield from _section("Configurations", head, rows)
+    asked = (*project.validation, *project.asked.goals)
+    rows = [(c.name, beyond(project.calibration, c)) for c in asked]
+    rows = [row for row in rows if row[1] and project.calibration]
+    yield from _section("Beyond what is fitted", (), rows)
     head = ("configuration", "what", "value", "standard deviation")
     yield from _section("Measured", head, _measured(posed, lanes))
     rows = [(k, f"{1e3 * r.rms:.2f} mm") for k, r in project.registrations.items()]

@@ -267,8 +267,9 @@ def _next(outlook: Identifiability | None, ranking: Ranking | None) -> list[Part
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
         return list(outlook.advice if outlook else ())
-    table = [ranking.tabulated, ranking.legend] if ranking.gains else []
-    return [ranking.headline, *table, bullets(map(str, ranking.unranked))]
+    table = [ranking.tabulated] if ranking.gains else []
+    unranked = bullets(map(str, ranking.unranked))
+    return [ranking.headline, *table, unranked, ranking.reached]
 
 
 def _verdicts(outlook: Identifiability) -> list[Part]:

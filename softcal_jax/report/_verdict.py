@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._names import listed
+from softcal_jax._names import MOST_NAMED, listed
 from softcal_jax._text_table import Tone
 from softcal_jax.calibration import (
     FLAT,
@@ -15,7 +15,7 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     ParameterEstimate,
 )
-from softcal_jax.configurations import EffectorRecord, rms_distance
+from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
 from softcal_jax.identifiability import Assessment
 
 _SCOPE = (
@@ -186,7 +186,16 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     head = "Held-out error" if held_out else "Prediction error"
     of = poses[0].name if len(poses) == 1 else f"{len(poses)} poses"
     seen = " not used in the fit" * (held_out and len(poses) > 1)
-    return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(poses)}."]
+    sentences = [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(poses)}."]
+    fitted = [fit.posed for fit in fits if fit.role == "calibration" and fit.posed]
+    names: dict[str, list[str]] = {}
+    for pose in (pose for pose in poses if fitted and pose.posed):
+        names.setdefault(beyond(fitted, pose.posed), []).append(pose.name)
+    names.pop("", None)
+    return sentences + [
+        f"Beyond what was fitted: {listed(of_text, MOST_NAMED)}, as {text}."
+        for text, of_text in names.items()
+    ]
 
 
 def _range(poses: Sequence[ConfigurationResult]) -> str:
