@@ -166,7 +166,9 @@ def rank_configurations(
         linear = seen.linear.without(*left_out).with_jitter(jitter)
         errors = spread_of(linear.per(asked)).errors()
         before = errors if not chosen else nothing.errors
-        fall = np.nan_to_num(before - errors, posinf=np.inf)  # inf - inf: still blind
+        fall = np.where(np.isinf(errors), 0.0, before) - np.where(
+            np.isinf(errors), 0.0, errors
+        )
         i = int(np.argmax(fall if chosen else errors))
         return Gain(
             name=listed(chosen),
@@ -182,9 +184,8 @@ def rank_configurations(
     reasons = dict(zip(names, seen.failures[len(known) :], strict=True))
     rows = set(seen.linear.pose.tolist())
     for k, name in enumerate(names, start=len(known)):
-        reasons[name] = (
-            reasons[name] or "" if k in rows else "it has no markers to measure"
-        )
+        if not reasons[name] and k not in rows:
+            reasons[name] = "it has no markers to measure"
     usable = [name for name in names if not reasons[name]]
     gains = sorted(map(with_these, usable), key=lambda gain: gain.cost)
     return Ranking(

@@ -47,6 +47,9 @@ REMEDIES = {
 ANY_ANGLE = np.pi / np.sqrt(12.0)
 """Standard deviation of an axis of which nothing is known: 52 degrees [rad]."""
 
+UNSEEN = 3.0
+"""Standard error over the value that is no knowledge of it [-]."""
+
 BETTER = 0.1, 0.5  # by how much a cause may be better known, at most and at least [-]
 
 SMALL = 0.1  # share of the standard error below which a sentence leaves a cause out [-]
@@ -280,6 +283,8 @@ def readable_error(std: float, value: float, unit: str) -> str:
         factor, shown = readable_unit([std], unit)
         return f"{factor * std:.2g} {shown}".rstrip()
     percent = 100.0 * std / abs(value)
+    if percent > 100.0 * UNSEEN:
+        return "blind"
     return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
 
 

@@ -86,6 +86,16 @@ class Change(NamedTuple):
     z: Float[HostArray, " n_p"] = np.zeros(0)
     expected: float = np.nan
 
+    @property
+    def subject(self) -> tuple[str, ...]:
+        """What it is about: its kind, and what would be stated otherwise."""
+        fields = Stated._fields
+        differ = lambda field: any(
+            getattr(stated, field) != getattr(Stated(), field)
+            for stated in self.variant
+        )
+        return (self.kind, *filter(differ, fields))
+
 
 class Readings:
     """What was measured in the fitted configurations, and what the fit made of it.

@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from softcal_jax._module import Module
 from softcal_jax._typing import HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.calibration import CalibrationResult, build_problem
 from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
@@ -22,7 +23,7 @@ from softcal_jax.mistakes._statements import Simulator, clamps, commands, forces
 
 CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
 
-AT_NOISE = 3.0
+AT_NOISE = 1.5
 """Size of what a mistake leaves, over all stated errors, that is still noise [-]."""
 
 ENOUGH = 1e-2
@@ -95,7 +96,8 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     With an estimated noise, that is the ratio of the likelihoods maximised in its
     level. Of mistakes that explain the data as well, the simplest comes first. What the
     parameters make up for, like a factor on all forces beside a modulus, leaves the
-    residuals as they are, and is not named.
+    residuals as they are, and is not named; nor is any of two that do as well and have
+    nothing in common.
 
     Returns:
         The mistakes, the likeliest first; none where the model does not contradict the
@@ -254,13 +256,15 @@ class _Search:
             return ()
         best = min(good, key=lambda fit: fit.squares)
         as_good = [f for f in good if self._evidence(best, f) <= np.log(AS_GOOD)]
+        if len({fit.change.subject for fit in as_good}) > 1:
+            return ()
         as_good.sort(key=lambda fit: (fit.change.rank, fit.squares))
         n = np.sum(self.refitter.readings.weight > 0.0)
         error = lambda fit: float(np.sqrt(fit.squares / n))
         return tuple(
             Mistake(
                 kind=fit.change.kind,
-                change=fit.change.words,
+                change=_words(fit),
                 rms_before=self.refitter.rms(self.as_is),
                 rms_after=self.refitter.rms(fit),
                 errors_before=error(self.as_is),
@@ -268,3 +272,10 @@ class _Search:
             )
             for fit in as_good[:MOST]
         )
+
+
+def _words(fit: Refit) -> str:
+    """Write the change, and how far a marker would be moved."""
+    if fit.change.kind != "misplaced marker":
+        return fit.change.words
+    return f"{fit.change.words}, by {readable_values(fit.along, 'm', digits=2)},"

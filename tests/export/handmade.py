@@ -240,8 +240,10 @@ def axis_space():
 
 def make_ranking():
     """One candidate that shows the angle, and one without an equilibrium."""
-    gain = Gain("turned", 2.0, 0.5, 0, "theta", 0.9, 0.01, 0.35, "rad")
-    return Ranking((gain,), (Unranked("crushed", "inverted"),), 2, 1)
+    errors = np.array([0.5, 0.1])
+    gain = Gain("turned", errors, "theta", 0.9, 0.01, 0.35, "rad")
+    unranked = (Unranked("crushed", "inverted"),)
+    return Ranking((gain,), unranked, "Fewest that reach 10 %: turned.", True)
 
 
 def make_simulation(model, outcomes=(True, False)):

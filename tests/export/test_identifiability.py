@@ -75,15 +75,15 @@ def test_outlook():
     data = outlook_dict(half_blind(), make_ranking(), name="beam", timing_s={"a": 1.0})
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     made = ["source", "settings", "versions"]
-    of_data = ["identifiability", "ranking", "timing_s"]
+    of_data = ["identifiability", "budget", "ranking", "timing_s"]
     assert list(data) == ["format", "name", *made, *of_data]
     assert (data["source"], data["settings"]) == (None, {})
     assert (data["name"], data["timing_s"]) == ("beam", {"a": 1.0})
     ranking = data["ranking"]
-    assert ranking["blind_before"] == 1
+    assert ranking["reached"] == "Fewest that reach 10 %: turned."
     (best,) = ranking["candidates"]
     assert (best["name"], best["parameter"], best["unit"]) == ("turned", "theta", "rad")
-    assert best["volume"] == pytest.approx(np.exp(-1.0))
+    assert best["errors"] == [0.5, 0.1]
     assert ranking["unranked"] == [{"name": "crushed", "reason": "inverted"}]
 
 

@@ -221,7 +221,7 @@ def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
         optima=optima(1.9),
     )
     (reason,) = assess(replace(good, starts=starts)).reasons
-    assert says(reason, "E of root 3e+05, E of tip 4e+04", "6.9", "best 5")
+    assert says(reason, "E of root = 300 kPa, E of tip = 40 kPa", "6.9", "best 5")
     far = replace(good, starts=replace(starts, optima=optima(1.95)))
     assert assess(far).identified
 

@@ -212,7 +212,7 @@ def test_report_is_in_the_units_of_a_person():
     assert says(text, "17.19 deg", "blind", "5.73 deg", "not identifiable")
     assert "theta of CP 2 (blind)" in text
     assert says(text, "lack at least 1 measured coordinate")
-    assert "rank candidates" in text
+    assert "softcal identify" in text
     assert "Bounds do not count as data." in text
 
 
