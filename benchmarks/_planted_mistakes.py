@@ -383,13 +383,11 @@ def _clamped(robot: Robot, random: np.random.Generator) -> Case:
 
 def _other_face(robot: Robot, random: np.random.Generator) -> Case:
     """Another face is said to be held."""
-    others = {
-        face: nodes
-        for face, nodes in box_faces(robot.model.mesh).items()
-        if not np.isin(nodes, robot.model.mechanism.bodies.attached).any()
-        and face != "the face of least x"
-    }
-    held = Support(others[str(random.choice(sorted(others)))])
+    faces, rigid = box_faces(robot.model.mesh), robot.model.mechanism.bodies.attached
+    del faces["the face of least x"]
+    others = [np.setdiff1d(nodes, rigid) for nodes in faces.values()]
+    others = [nodes for nodes in others if nodes.size]
+    held = Support(others[int(random.integers(len(others)))])
     poses = tuple(replace(c, supports=(held,)) for c in robot.measured(random))
     return Case(poses, "wrong clamp", ("least x",))
 

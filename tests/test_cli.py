@@ -353,10 +353,11 @@ def test_identify(tmp_path, out, capsys):
     printed, errors = capsys.readouterr()
     assert errors == ""
     assert "what the data of weight would determine ..." in printed
-    assert "upside down, crushed would add" in printed
+    assert says(printed, "upside down, crushed, pulled, weight again ... would add")
     # Two markers on three axes; `pulled` is held out.
     assert says(printed, "Weakly identifiable", "6 measured", "1 parameter")
-    assert says(printed, "'upside down' is the most informative")
+    assert says(printed, "tells most: expected error of E", "% ->")
+    assert says(printed, "E: noise", "%")  # the budget
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
     assert f"Results in {out}: open {out / 'report.html'}" in printed
@@ -367,7 +368,9 @@ def test_identify(tmp_path, out, capsys):
     page = (out / "report.html").read_text()
     command = f"softcal identify {data['source']['project']['file']} -o repeated"
     assert command in page
-    assert [c["name"] for c in data["ranking"]["candidates"]] == ["upside down"]
+    names = [c["name"] for c in data["ranking"]["candidates"]]
+    assert {"upside down", "weight again", "the other end held"} <= {*names}
+    assert data["budget"]["parameters"][0]["name"] == "E"
     assert [c["name"] for c in data["ranking"]["unranked"]] == ["crushed"]
     words = (out / "identifiability.txt").read_text()
     assert says(words, "small ... Weakly identifiable")
@@ -375,12 +378,13 @@ def test_identify(tmp_path, out, capsys):
 
 
 def test_identify_prints_alone(tmp_path, capsys):
-    """Without -o nothing is written; without candidates it says how to add some."""
+    """Without -o nothing is written; what might be measured is proposed."""
     path = write_small_project(tmp_path)
-    assert main(["identify", str(path)]) == 0
+    assert main(["identify", str(path), "--aim", "50 %"]) == 0
     printed, errors = capsys.readouterr()
     assert errors == ""
-    assert says(printed, "[[candidates]] ... [[configurations]]")
+    assert says(printed, "the other end held expected error of E")
+    assert says(printed, "Nothing in reach gives 50 %")
     assert printed.split("\n")[-2].startswith("Time: import ")
     assert left_behind(tmp_path) == set()
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli import _shared as cli
-from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.calibration import CalibrationResult
@@ -184,8 +183,9 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
     with cli.bad_input():
         project.check_identify()
         if args.aim is not None:
-            aim = quantity("--aim", args.aim, "")
-            project = replace(project, precision=aim)
+            from softcal_jax.project import parse_share
+
+            project = replace(project, precision=parse_share(args.aim))
     outlook = ranking = None
     blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     with cli.no_equilibrium("Nothing was written."):

@@ -188,7 +188,7 @@ It then says which fewest of them reach the target, or what else would. The cand
 take about as long as as many configurations; the verdict stands before.""",
         epilog=_IDENTIFY,
     )
-    text = 'the target, in place of `precision`: --aim "5 %"'
+    text = 'the target, in place of `precision`: --aim "5 %%"'
     outlook.add_argument("--aim", metavar="ERROR", help=text)
     outlook.set_defaults(run=_commands.identify)
     for command in (fit, forward, plan, outlook):

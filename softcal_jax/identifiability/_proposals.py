@@ -16,7 +16,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.mesh import box_faces
+from softcal_jax.mesh import box_faces, locate
 
 
 def proposals(
@@ -52,11 +52,12 @@ def proposals(
         if base.markers is not None and model.mass > 0.0:
             places = base.markers.positions
             tip = int(np.argmax(np.linalg.norm(places - middle, axis=1)))
-            near = np.argmin(np.linalg.norm(mesh.points - places[tip], axis=1))
+            near = locate(mesh, places[[tip]], max_distance=np.inf)
+            at = near.weights[0] @ mesh.points[near.nodes[0]]
             weight = float(f"{0.5 * model.mass * STANDARD_GRAVITY:.1g}")
             down = np.array(base.gravity if np.any(base.gravity) else (0.0, 0.0, -1.0))
             force = tuple((weight * down / np.linalg.norm(down)).tolist())
-            load = PointForce(tuple(mesh.points[near].tolist()), force)
+            load = PointForce(tuple(at.tolist()), force)
             name = f"{readable_values([weight], 'N')} at {base.markers.names[tip]}"
             yield new(name, loads=(*base.loads, load))
     actuators = mechanism.actuators

@@ -16,7 +16,7 @@ from softcal_jax.identifiability._spread import (
     Spread,
     Verdict,
 )
-from softcal_jax.inference import ErrorBudget
+from softcal_jax.inference import BLIND_FROM, ErrorBudget
 
 MOST_SHOWN = 8  # most blind directions that are listed; the others are only counted
 
@@ -194,7 +194,9 @@ def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
         return f"{number(value * factor, digits)} {unit}".rstrip()
 
     error = shown(p.standard_error, 3)
-    if p.relative is not None and math.isfinite(p.relative):
+    if p.relative is not None and p.relative > BLIND_FROM:
+        error = "blind"
+    elif p.relative is not None:
         error += f" ({number(100 * p.relative, 2)} %)"
     alone = (shown(p.data_only, 3),) if has_prior else ()
     return (p.name, shown(p.value, 4), error, *alone, shown(p.asked, 3), p.verdict)

@@ -39,6 +39,7 @@ from softcal_jax.inference._residuals import (
 )
 from softcal_jax.inference._uncertainty import (
     ANY_ANGLE as ANY_ANGLE,
+    BLIND_FROM as BLIND_FROM,
     EXACT as EXACT,
     UNLIKELY as UNLIKELY,
     Cause as Cause,

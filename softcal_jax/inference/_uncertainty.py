@@ -47,7 +47,7 @@ REMEDIES = {
 ANY_ANGLE = np.pi / np.sqrt(12.0)
 """Standard deviation of an axis of which nothing is known: 52 degrees [rad]."""
 
-UNSEEN = 3.0
+BLIND_FROM = 3.0
 """Standard error over the value that is no knowledge of it [-]."""
 
 BETTER = 0.1, 0.5  # by how much a cause may be better known, at most and at least [-]
@@ -247,7 +247,7 @@ class ErrorBudget(Module):
         keys = (worst,) if cause is None else (cause.errors[0], worst)
         remedy = next(filter(None, map(REMEDIES.get, keys)), f"measure {worst} better")
         rest = float(np.sqrt(max(total**2 - errors[worst] ** 2, 0.0)))
-        share = float(np.clip(0.5 * rest / errors[worst], *BETTER))
+        share = float(np.clip(0.5 * rest / max(errors[worst], 1e-300), *BETTER))
         known = cause is not None and bool(cause.unit)
         if known:
             std = f"{100.0 * share * cause.std:.1g} %"
@@ -283,7 +283,7 @@ def readable_error(std: float, value: float, unit: str) -> str:
         factor, shown = readable_unit([std], unit)
         return f"{factor * std:.2g} {shown}".rstrip()
     percent = 100.0 * std / abs(value)
-    if percent > 100.0 * UNSEEN:
+    if percent > 100.0 * BLIND_FROM:
         return "blind"
     return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
 

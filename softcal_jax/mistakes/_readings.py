@@ -160,17 +160,19 @@ def _lost(readings: Readings) -> Iterator[Change]:
 
 def _misplaced(readings: Readings) -> Iterator[Change]:
     """Move a marker on the body: its readings are off alike in all configurations."""
-    of_row = np.eye(readings.measured.size).reshape(*readings.measured.shape, -1)
     poses: dict[str, list[int]] = {}
     for c, points in enumerate(readings.points):
         for name in points:
             poses.setdefault(name, []).append(c)
     for name, among in poses.items():
         if len(among) > 1:
-            rows = [(c, readings.points[c][name].index) for c in among]
-            free = sum(readings.weight[row][:, None] * of_row[row] for row in rows)
+            free = np.zeros((*readings.measured.shape, 3))
+            for c in among:
+                row = c, readings.points[c][name].index
+                free[row] = np.diag(readings.weight[row])
             words = f"Moving marker {name}{readings.in_words(among)}"
-            yield Change("misplaced marker", words, 4, readings.measured, free=free.T)
+            change = Change("misplaced marker", words, 4, readings.measured)
+            yield change._replace(free=free.reshape(-1, 3))
 
 
 def _swapped_markers(readings: Readings) -> Iterator[Change]:

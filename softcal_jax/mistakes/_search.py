@@ -278,4 +278,6 @@ def _words(fit: Refit) -> str:
     """Write the change, and how far a marker would be moved."""
     if fit.change.kind != "misplaced marker":
         return fit.change.words
-    return f"{fit.change.words}, by {readable_values(fit.along, 'm', digits=2)},"
+    return (
+        f"{fit.change.words}, by {readable_values(fit.along.tolist(), 'm', digits=2)},"
+    )

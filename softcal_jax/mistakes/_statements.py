@@ -175,7 +175,7 @@ def commands(
     """
     model, acts = simulator.problem.model, simulator.acts.get("actuation")
     value = np.abs(np.asarray(simulator.problem.configurations.actuation.value))
-    moduli = [q.start for q in refitter.space.parameters if q.unit == "Pa"]
+    moduli = [float(q.start) for q in refitter.space.parameters if q.unit == "Pa"]
     if acts is None or not moduli:
         return [], 0
     area = float(volumes(model.mesh).sum()) / model.mesh.size
@@ -220,10 +220,8 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
     """
     poses = range(len(readings.poses))
     actuators = simulator.problem.model.mechanism.actuators
-    one_way, units = (
-        np.any(actuators.unilateral),
-        {k.force_unit for k in actuators.kinds},
-    )
+    one_way = np.any(actuators.unilateral)
+    units = {kind.force_unit for kind in actuators.kinds}
     size = np.linalg.norm(simulator.problem.configurations.gravity, axis=1)
     for force, acts in simulator.acts.items():
         unit = "Pa" if force == "actuation" and units == {"Pa"} else "N"
@@ -252,30 +250,26 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
             )
 
 
-def _other_face(simulator: Simulator, readings: Readings) -> list[Change]:
-    """Return the clamp of another face, if points moved less near it than elsewhere.
+def _other_face(simulator: Simulator, readings: Readings) -> Iterator[Change]:
+    """Yield the clamp of another face, if points moved less near it than elsewhere.
 
     By the largest motion over the distance from what is held, a strain.
     """
-    strains: dict[str, float] = {}
-    points = simulator.problem.model.mesh.points
-    places = {name: points[nodes] for name, nodes in simulator.faces.items()}
-    for name, nodes in ({"": simulator.held(0)} | places).items():
-        tree = KDTree(nodes)
-        strains[name] = max(
-            (
-                e.distance(e.at_rest) / max(tree.query(e.at_rest)[0], 1e-12)
-                for of_pose in readings.points
-                for e in of_pose.values()
-            ),
-            default=0.0,
-        )
+    moved = [e for of_pose in readings.points for e in of_pose.values()]
+    held, points = simulator.held(0), simulator.problem.model.mesh.points
+    if not (moved and len(held)):
+        return
+
+    def strain(places: Float[HostArray, "n 3"]) -> float:
+        apart, _ = KDTree(places).query([e.at_rest for e in moved])
+        return np.max([e.distance(e.at_rest) for e in moved] / np.maximum(apart, 1e-12))
+
+    strains = {face: strain(points[n]) for face, n in simulator.faces.items()}
     face = min(strains, key=strains.__getitem__)
-    if not face:
-        return []
-    words = f"Holding the body by {face}, and not where it is,"
-    change = Change("wrong clamp", words, 10, readings.measured)
-    return [change._replace(variant=(Stated(face=face),) * len(readings.poses))]
+    if strains[face] < strain(held):
+        words = f"Holding the body by {face}, and not where it is,"
+        change = Change("wrong clamp", words, 10, readings.measured)
+        yield change._replace(variant=(Stated(face=face),) * len(readings.poses))
 
 
 def clamps(

@@ -39,4 +39,5 @@ from softcal_jax.project._reading import (
     read_schema as read_schema,
     read_toml as read_toml,
 )
+from softcal_jax.project._setup import parse_share as parse_share
 from softcal_jax.project._table import Table as Table

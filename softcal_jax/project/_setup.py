@@ -31,7 +31,7 @@ _PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 
 def _parser(unit: str, *, estimated: bool) -> Callable[[Any], float | str]:
     """Return a parser of values in an SI unit or in "%"; zero needs neither."""
-    parse = _share if unit == "%" else scalar(dimension_of(unit), "not negative")
+    parse = parse_share if unit == "%" else scalar(dimension_of(unit), "not negative")
 
     def parsed(value: Any) -> float | str:
         if is_number(value) and value == 0:
@@ -41,7 +41,8 @@ def _parser(unit: str, *, estimated: bool) -> Callable[[Any], float | str]:
     return parsed
 
 
-def _share(value: Any) -> float:
+def parse_share(value: Any) -> float:
+    """Parse a share of a value, "3 %"; raise ValueError if it is none."""
     match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
     if not match:
         raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')

@@ -31,7 +31,7 @@ from softcal_jax.fields import (
     load_factor,
     recording_offset,
 )
-from softcal_jax.inference import NOISE
+from softcal_jax.inference import NOISE, Cause, ErrorBudget
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
@@ -312,6 +312,26 @@ def test_it_says_what_to_measure_first():
     known = np.hypot(rest, 0.5 * parts["clamp"])
     assert says(advice, "clamp grips to 0.5 mm. E ... by", f"{total:.2g} %")
     assert says(advice, f"{parts['clamp']:.2g} % through clamp", f"{known:.2g} %")
+
+
+def test_it_says_to_what_a_cause_must_be_known():
+    """Gravity is all: to a tenth of a degree, which leaves 1.2 % beside 1 % by noise.
+
+    An axis that is known no better than its range is blind.
+    """
+    tilt = np.array([[0.12], [2.0]])
+    gravity = Cause("gravity", ("gravity_tilt first",), tilt, np.deg2rad(1.0), "rad")
+    budget = ErrorBudget(
+        names=("E", "theta"),
+        values=np.array([2e5, 0.3]),
+        slopes=np.array([2e5, 1.0]),
+        units=("Pa", "rad"),
+        noise=np.diag([1e-4, 1e-4]),
+        causes=(replace(gravity, fitted="gravity_tilt"),),
+    )
+    assert says(budget.advice("E"), "level the robot to 0.1 deg", "gravity_tilt")
+    assert says(budget.advice("E"), "12 % through gravity alone", "1.6 %")
+    assert says(budget.sentence("theta"), "gravity blind")
 
 
 def recalibrated(**settings):

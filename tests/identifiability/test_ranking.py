@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 
+import cable_project
 import equinox as eqx
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from two_part_beam import (
 from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
-from softcal_jax.configurations import Configuration, Support
+from softcal_jax.configurations import Configuration, PointForce, Support
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import (
     identify as identify_with,
+    proposals,
     rank_configurations as rank_with,
 )
 
@@ -158,3 +160,28 @@ def test_a_candidate_cannot_tell_what_all_poses_share():
     (gain,) = ranked.gains
     (exact,) = rank_configurations(two_part_beam(), SPACE, HANG, [SWAP]).gains
     assert gain.after > 0.99 * share * gain.value > exact.after
+
+
+def test_proposals_leave_out_what_is_there():
+    """Five other directions of gravity, the other end, a weight at the tip, again."""
+    proposed = [*proposals(two_part_beam(), [HANG, NEAR])]
+    assert [c.name for c in proposed] == [
+        "hang again",
+        *[f"gravity along {axis}" for axis in ("-x", "-y", "+x", "+y", "+z")],
+        "the other end held",
+        "200 mN at m0",  # half of 40 ml of water is 0.196 N
+    ]
+    end, weight = proposed[-2:]
+    points = two_part_beam().mesh.points[end.supports[0].where]
+    assert np.all(points[:, 0] == 0.1)
+    (load,) = [load for load in weight.loads if isinstance(load, PointForce)]
+    np.testing.assert_allclose(load.force, (0.0, 0.0, -0.2))
+    np.testing.assert_allclose(load.point, TIP[0], atol=1e-12)
+    assert [*proposals(two_part_beam(), [BARE])] == []
+
+
+def test_proposals_of_a_robot_with_a_cable():
+    poses = [p for p in cable_project.poses() if p.name != "wound up"]
+    proposed = {c.name: c for c in proposals(cable_project.cable_beam(), poses)}
+    assert proposed["cable 750 mN"].actuation["cable"].value == 0.75
+    assert "cable 1.5 N" not in proposed  # that is measured

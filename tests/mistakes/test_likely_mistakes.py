@@ -64,14 +64,14 @@ def test_a_factor_on_all_forces_is_named_only_where_the_bounds_exclude_it():
     """A modulus makes up for it; with a modulus on its bound the data contradict it."""
     alone = [replace(c, gravity=(0.0, 0.0, 0.0), loads=()) for c in robot().poses]
     read = robot()._replace(poses=tuple(alone)).measured(np.random.default_rng(7))
-    stated = tuple(with_forces(c, "actuation", 1 / 1000.0) for c in read)
+    stated = tuple(with_forces(c, "actuation", 1 / 9.81) for c in read)
     names = {}
     for lower in (1e3, 1e5):
         space = ParameterSpace((Parameter("E", "E", 3e5, lower, 1e6, unit="Pa"),))
         result = fitted(Case(stated), space)
         names[lower] = [m.change for m in likely_mistakes(result)]
     assert names[1e3] == []
-    assert "Multiplying the actuation by 1000 in all poses" in names[1e5]
+    assert "Multiplying the actuation by 9.81 in all poses" in names[1e5]
 
 
 def test_a_result_without_points_speaks_of_standard_deviations():
