@@ -68,7 +68,7 @@ actuation = { arm = "10 N*mm", left = "1 mm", spread = "-50 mN" }
 
 [[configurations]]
 name = "crushed"
-actuation = { arm = "10 N*mm", blow = "900 kPa" }
+actuation = { arm = "10 N*mm", blow = "290 kPa" }
 
 [newton]
 max_steps = 20

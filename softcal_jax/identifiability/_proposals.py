@@ -64,12 +64,14 @@ def proposals(
     commands = [(n, v) for c in configurations for n, v in c.actuation.items()]
     for name, kind in zip(actuators.names, actuators.kinds, strict=True):
         of_it = [v for n, v in commands if n == name]
-        largest = max(of_it, key=lambda v: abs(v.value), default=None)
-        for share in (0.5, 1.0) if largest is not None and largest.value else ():
-            value = share * largest.value
-            by_force = isinstance(largest, ImposedForce)
-            unit = kind.force_unit if by_force else kind.displacement_unit
-            if not any(v.value == value for v in of_it if type(v) is type(largest)):
-                amount = readable_values([value], unit or "")
+        if not any(v.value for v in of_it):
+            continue
+        largest = max(of_it, key=lambda v: abs(v.value))
+        by_force = isinstance(largest, ImposedForce)
+        unit = kind.force_unit if by_force else kind.displacement_unit
+        known = [v.value for v in of_it if type(v) is type(largest)]
+        for value in (0.5 * largest.value, largest.value):
+            if value not in known:
                 command = {name: replace(largest, value=value)}
+                amount = readable_values([value], unit or "")
                 yield new(f"{name} {amount}", actuation=command)

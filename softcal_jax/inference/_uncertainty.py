@@ -243,20 +243,19 @@ class ErrorBudget(Module):
             return f"measure more: {name} has no standard error."
         errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
         worst = max(errors, key=errors.__getitem__)
-        cause = next((cause for cause in self.causes if cause.name == worst), None)
-        keys = (worst,) if cause is None else (cause.errors[0], worst)
+        exact = Cause(worst, (worst,), np.zeros((0, 0)))
+        cause = next((cause for cause in self.causes if cause.name == worst), exact)
+        keys = cause.errors[0], worst
         remedy = next(filter(None, map(REMEDIES.get, keys)), f"measure {worst} better")
         rest = float(np.sqrt(max(total**2 - errors[worst] ** 2, 0.0)))
-        share = float(np.clip(0.5 * rest / max(errors[worst], 1e-300), *BETTER))
-        known = cause is not None and bool(cause.unit)
-        if known:
+        share = BETTER[1]
+        if cause.unit:
+            share = np.clip(0.5 * rest / max(errors[worst], 1e-300), *BETTER)
             std = f"{100.0 * share * cause.std:.1g} %"
             if cause.unit != "%":
                 std = readable_values([share * cause.std], cause.unit, digits=1)
-            remedy += f" to {std}"
-        if known and cause.fitted:
-            remedy += f", or calibrate {cause.fitted} along"
-        share = share if known else BETTER[1]
+            along = f", or calibrate {cause.fitted} along" if cause.fitted else ""
+            remedy += f" to {std}{along}"
         after = float(np.hypot(rest, share * errors[worst]))
         now, by, bring = (self.readable(i, e) for e in (total, errors[worst], after))
         return (

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from scipy.spatial import KDTree
 
-from softcal_jax._lanes import lane_of
 from softcal_jax._names import listed
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable, readable_values
@@ -143,7 +142,7 @@ def _turning_back(model: Model) -> Iterator[str]:
     actuators = model.mechanism.actuators
     geometry = actuator_geometry(actuators, model.mechanism.points)
     for a, name in enumerate(actuators.names):
-        path = geometry.segments[geometry.segment_owner == a]
+        path = np.asarray(geometry.segments)[geometry.segment_owner == a]
         along = path[:, 1] - path[:, 0]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         joined = np.all(path[1:, 0] == path[:-1, 1], axis=1)
@@ -225,19 +224,21 @@ def _seen(model: Model, posed: Mapping[str, Configuration]) -> Iterator[_Seen]:
     A reference may have a frame of its own, so only differences from it are checked.
     """
     lanes = configuration_lanes(model.mesh, [*posed.values()], model.mechanism)
+    of, carried = lanes.arrays, lanes.arrays.effectors
+    several = jax.device_get((of.fixed, of.imposed, carried.nodes, carried.weights))
     by_name = {c.name: c for c in posed.values()}
     moved = {}
     for c, records in zip(posed.values(), lanes.effectors, strict=True):
         moved[c.name] = {n: np.nan_to_num(-u) for n, u in motions(records).items()}
     references = {c.displacement_from for c in posed.values()}
     for k, (key, c) in enumerate(posed.items()):
-        lane = jax.device_get(lane_of(lanes.arrays, k))
-        held = lane.fixed.all(axis=1) & ~lane.imposed.any(axis=1)
+        fixed, imposed, nodes, weights = (array[k] for array in several)
+        held = fixed.all(axis=1) & ~imposed.any(axis=1)
         since = moved.get(c.displacement_from or "", dict.fromkeys(moved[c.name], 0.0))
         points = [r for r in lanes.effectors[k] if r.quantity == "point"]
         points = [r for r in points if r.name in moved[c.name] and r.name in since]
-        carry = lane.effectors.weights[[r.index for r in points]] != 0.0
-        free = carry & ~held[lane.effectors.nodes[[r.index for r in points]]]
+        rows = np.array([r.index for r in points], int)
+        free = (weights[rows] != 0.0) & ~held[nodes[rows]]
         if points and c.name not in references:
             yield _Seen(
                 key=key,

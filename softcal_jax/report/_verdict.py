@@ -189,8 +189,9 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     sentences = [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(poses)}."]
     fitted = [fit.posed for fit in fits if fit.role == "calibration" and fit.posed]
     names: dict[str, list[str]] = {}
-    for pose in (pose for pose in poses if fitted and pose.posed):
-        names.setdefault(beyond(fitted, pose.posed), []).append(pose.name)
+    for pose in poses if fitted else ():
+        if pose.posed is not None:
+            names.setdefault(beyond(fitted, pose.posed), []).append(pose.name)
     names.pop("", None)
     return sentences + [
         f"Beyond what was fitted: {listed(of_text, MOST_NAMED)}, as {text}."
