@@ -390,7 +390,7 @@ def test_the_answer_has_few_lines_in_the_order_of_reading():
     order = [line.split()[0] for line in lines if not line.startswith(" ")]
     assert order == ["E", "Trust", "Held-out", "Next:", "The"]
     assert says(lines[2], "held out ... 2.00 mm ... 10.0 %")
-    assert says(lines[3], "more poses ... E is uncertain by 2 % through noise")
+    assert says(lines[3], "half the noise ... by 2 % through noise", "bring 1.8 %")
 
 
 def test_a_mistake_that_was_found_is_what_to_look_at_next():

@@ -83,7 +83,7 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     Tried are: markers swapped in all configurations or in one, or lost at (0, 0, 0);
     readings of two configurations exchanged; a frame turned by 90 or 180 degrees,
     mirrored, or with axes exchanged; gravity, loads and actuation of the wrong sign;
-    these, or lengths, off by a factor between units, see `FACTORS`; a marker that
+    these, or lengths, off by a factor between units (kgf, psi, inches); a marker that
     stands elsewhere; and a clamp of another face, or one that reaches up to a marker.
     After each, the parameters are fitted again to first order.
 

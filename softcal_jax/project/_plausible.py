@@ -38,23 +38,12 @@ class ProjectWarning(SoftcalWarning):
     """A number of a project file that is probably a mistake."""
 
 
-USUAL = 1e-3, 1.0
-"""What deforms a soft body, over what this resists [-]."""
-
-STRETCH = 2.0
-"""Factor on the distance of a marker from what is held that no pose reaches [-]."""
-
-SIGMAS, SHARE = 3.0, 0.01
-"""Motion beyond noise: in standard deviations, and beside that of the robot's size."""
-
-TAKEN = 0.05
-"""Noise of readings from which places at rest were taken, in standard deviations."""
-
-AGAINST = -0.3
-"""Work of what acts on a body that rests, over force times motion: less is wrong."""
-
-BACK = -0.5
-"""Cosine of the angle from which on a cable turns back [-]."""
+USUAL = 1e-3, 1.0  # what deforms a soft body, over what this resists [-]
+STRETCH = 2.0  # factor on a distance from what is held that no pose reaches [-]
+SIGMAS, SHARE = 3.0, 0.01  # motion beyond noise, in its size and the robot's [-]
+TAKEN = 0.05  # noise of readings from which places at rest were taken, likewise [-]
+AGAINST = -0.3  # work of what acts, over force times motion, that is wrong [-]
+BACK = -0.5  # cosine of the angle from which on a cable turns back [-]
 
 
 def check_bearable(model: Model, posed: Mapping[str, Configuration]) -> None:

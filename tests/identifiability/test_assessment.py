@@ -222,6 +222,8 @@ def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
     )
     (reason,) = assess(replace(good, starts=starts)).reasons
     assert says(reason, "E of root = 300 kPa, E of tip = 40 kPa", "6.9", "best 5")
+    repeated = replace(good, starts=starts, repeated="A reading stands twice.")
+    assert assess(repeated).reasons == (reason, "A reading stands twice.")
     far = replace(good, starts=replace(starts, optima=optima(1.95)))
     assert assess(far).identified
 
