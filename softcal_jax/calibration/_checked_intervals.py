@@ -1,25 +1,25 @@
 """Intervals that a calibration prints: of first order where that holds, or profiles."""
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from softcal_jax._names import listed
-from softcal_jax._process import Clock, ends_at
+from softcal_jax._names import MOST_NAMED, listed
+from softcal_jax._process import Clock
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (
     LOWER,
+    Ends,
     LowerCostFound,
     ProfileEnd,
     profile_ends,
@@ -33,7 +33,7 @@ from softcal_jax.calibration._result import (
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import WEAK_UP_TO, Parameter, ParameterSpace, asked_errors
 from softcal_jax.inference import EXACT, LinearModel
 
 LEVEL = 0.95
@@ -47,8 +47,12 @@ CURVED = 0.1
 
 On a parabola the root of the rise of twice the cost is the distance over the standard
 error. With both ends a tenth too close to the fit, an interval that says 95 % holds
-92 % of the time; with one too close and the other too far, 94 %.
+92 % of the time; with one too close and the other too far, 94 %. Of the distance, it is
+also the error at which a profile agrees with the linear model.
 """
+
+PAIR = 2
+"""Profiles at a time; if all of them agree with the linear model, no more are made."""
 
 
 class Fitted(NamedTuple):
@@ -60,11 +64,8 @@ class Fitted(NamedTuple):
     evaluation: Evaluation
 
     def profile_ends(
-        self,
-        level: float,
-        which: Sequence[int],
-        ended: Callable[[int, tuple[ProfileEnd, ProfileEnd]], None] = lambda *_: None,
-    ) -> list[tuple[ProfileEnd, ProfileEnd]]:
+        self, level: float, which: Sequence[int], **options: Any
+    ) -> list[Ends]:
         """Find how far parameters can move, see the function of this name."""
         result, problem, poses, evaluation = self
         return profile_ends(
@@ -74,7 +75,7 @@ class Fitted(NamedTuple):
             linear=evaluation.linear(problem, poses, result.z),
             rise=result.uncertainty.noise_scale * quantile_of(result, level),
             which=which,
-            ended=ended,
+            **options,
         )
 
 
@@ -272,45 +273,98 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
     for column in np.flatnonzero(spread.at_bound):
         why = "it ended on a bound, and the residuals show no noise"
         intervals[column] = replace(intervals[column], why=why)
+    linear = {
+        column: _linear_ends(result, column, float(quantile * std[column]))
+        for column in straight + bent
+    }
     for column in straight:
-        ends = (ProfileEnd(float(quantile * std[column]), "likelihood"),) * 2
+        ends = linear[column]
         intervals[column] = whole_interval(result, column, level, ends, "first-order")
-    if bent:
+    for column in bent:
+        intervals[column] = replace(intervals[column], why=INTERRUPTED)
+    with suppress(KeyboardInterrupt):
         # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
-        profiled = _by_profile(fitted, level, bent, stage)
-        for column in bent:
-            none = replace(intervals[column], why=INTERRUPTED)
-            intervals[column] = profiled.get(column, none)
+        _by_profile(fitted, level, bent, linear, intervals, stage)
     return intervals
+
+
+def _linear_ends(result: CalibrationResult, column: int, reach: float) -> Ends:
+    """Return the ends that the linear model foretells; NaN for what it knows not."""
+    rooms = (room_beside(result.space, result.z, column, sign) for sign in (-1, 1))
+    low, high = (
+        ProfileEnd(float(np.minimum(reach, r)), "bound" if reach >= r else "likelihood")
+        for r in rooms
+    )
+    return low, high
+
+
+def _unidentified(
+    result: CalibrationResult, which: Sequence[int], linear: dict[int, Ends]
+) -> list[int]:
+    """Pick what the linear model cannot identify, or takes to the bounds."""
+    asked = asked_errors(result.space, result.z, result.precision, model=result.model)
+    far = np.sqrt(np.diag(result.uncertainty.covariance)) > WEAK_UP_TO * asked
+    beyond = lambda column: all(end.why == "bound" for end in linear[column])
+    return [column for column in which if far[column] or beyond(column)]
+
+
+def _allowed(
+    fitted: Fitted, level: float, which: Sequence[int]
+) -> Iterator[tuple[int, ParameterInterval]]:
+    """Yield the parameters of which the data allow a bound; they have no interval."""
+    every = fitted.profile_ends(level, which, only_bounds=True)
+    for column, ends in zip(which, every, strict=True):
+        interval = whole_interval(fitted.result, column, level, ends)
+        whys = [end.why for end in ends]
+        if {*whys} == {"likelihood", "bound"}:
+            value = interval.lower if whys[0] == "bound" else interval.upper
+            why = "the data hardly determine it: they allow "
+            why += readable(value, interval.unit)
+            interval = replace(interval, kind="none", why=why)
+        if {*whys} != {"likelihood"}:
+            yield column, interval
 
 
 def _by_profile(
-    fitted: Fitted, level: float, which: Sequence[int], stage: Stage
-) -> dict[int, ParameterInterval]:
-    """Find intervals by profile likelihood, in the order of `which`, until Ctrl-C."""
-    result, intervals = fitted.result, {}
-    names, began = result.space.names, time.perf_counter()
+    fitted: Fitted,
+    level: float,
+    which: Sequence[int],
+    linear: dict[int, Ends],
+    intervals: list[ParameterInterval],
+    stage: Stage,
+) -> None:
+    """Replace intervals by those of profiles, in the order of `which`, until Ctrl-C.
 
-    def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
+    What the `linear` model cannot identify is checked at its bounds, and profiled only
+    if the data exclude both. Profiles follow `PAIR` by `PAIR`, however many cores there
+    are, until all of a pair agree with the linear model; those that are left are taken
+    from it.
+    """
+    result, left = fitted.result, list(which)
+    unseen = _unidentified(result, which, linear)
+    named = lambda columns: listed([result.space.names[c] for c in columns], MOST_NAMED)
+
+    def keep(column: int, ends: Ends) -> None:
         intervals[column] = whole_interval(result, column, level, ends)
-        k, n = len(intervals), len(which)
-        left = [names[other] for other in which if other not in intervals]
-        if left:
-            seconds = (time.perf_counter() - began) / k * (n - k)
-            stage(
-                f"the intervals by profile likelihood: {k} of {n}, "
-                f"{ends_at(seconds)}; next {listed(left[:3])}"
-            )
+        stage(f"the intervals by profile likelihood, after that of {named([column])}")
 
-    asked = ", ".join(names[column] for column in which)
-    with suppress(KeyboardInterrupt):
-        stage(
-            f"the intervals of {asked} by profile likelihood, several fits each "
-            f"(the calibration took {result.history[-1].seconds:.0f} s)"
-        )
-        fitted.profile_ends(level, which, keep)
-    return intervals
+    if unseen:
+        stage(f"whether the data allow the bounds of {named(unseen)}")
+        for column, intervals[column] in _allowed(fitted, level, unseen):
+            left.remove(column)
+    if left:
+        stage(f"the intervals of {named(left)} by profile likelihood")
+    while left:
+        pair, left = left[:PAIR], left[PAIR:]
+        every = fitted.profile_ends(level, pair, ended=keep)
+        found = np.array([[end.distance for end in ends] for ends in every])
+        by_linear = np.array([[end.distance for end in linear[c]] for c in pair])
+        if len(pair) == PAIR and np.all(abs(found / by_linear - 1.0) <= CURVED):
+            break
+    for column in left:
+        ends = linear[column]
+        intervals[column] = whole_interval(result, column, level, ends, "first-order")
 
 
 def quantile_of(result: CalibrationResult, level: float) -> float:

@@ -49,6 +49,7 @@ from softcal_jax.fields._space import (
 )
 from softcal_jax.fields._standard_errors import (
     PRECISION as PRECISION,
+    WEAK_UP_TO as WEAK_UP_TO,
     asked_errors as asked_errors,
     check_precision as check_precision,
     field_standard_errors as field_standard_errors,

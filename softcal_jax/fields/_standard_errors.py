@@ -32,6 +32,13 @@ from softcal_jax.materials import ANGLE, UNREMARKABLE
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
 
+WEAK_UP_TO = 3.0
+"""Standard error, over the asked one, up to which a value is weakly identifiable [-].
+
+With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
+of magnitude, which no part can be designed with.
+"""
+
 _LEAST = 1e-9
 """Smallest scaled standard error that is asked for: a value of zero would ask for 0."""
 

@@ -8,19 +8,13 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.fields import WEAK_UP_TO
 from softcal_jax.inference import RANK, LinearModel
 
 Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
 
 IDENTIFIABLE_UP_TO = 1.0
 """Standard error, over the asked one, up to which a parameter is identifiable [-]."""
-
-WEAK_UP_TO = 3.0
-"""Standard error, over the asked one, up to which it is weakly identifiable [-].
-
-With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
-of magnitude, which no part can be designed with.
-"""
 
 SHARE = 0.1
 """Squared component of a unit vector from which on its parameter is named [-]."""

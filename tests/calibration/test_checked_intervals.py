@@ -24,9 +24,11 @@ from softcal_jax.calibration import (
     calibrate,
 )
 from softcal_jax.calibration._checked_intervals import (
+    CURVED,
     MOST_RETURNS,
     Fitted,
     ProfileEnd,
+    _by_profile,
     _considered_error,
     _end_holds,
     _none,
@@ -151,6 +153,94 @@ def test_at_a_bound_one_side_is_known(poses):
         [brentq(higher, 60e3, 300e3), 300e3],
         rtol=CLOSE,
     )
+
+
+def within(factor):
+    """Bounds that far on either side of values close to those of the fit."""
+    sides = {"E": 400e3, "density": 1.0}
+    return [
+        replace(q, lower=jnp.asarray(v / factor), upper=jnp.asarray(v * factor))
+        for q, v in zip(unknowns(), sides.values(), strict=True)
+    ]
+
+
+def test_what_the_linear_model_leaves_open_is_checked_at_its_bounds(monkeypatch):
+    """Not by a profile; no fit there goes on once the bound is known to be allowed."""
+    counted, real = [], Evaluator.__call__
+
+    def count(evaluate, *args):
+        counted.append(evaluate)
+        return real(evaluate, *args)
+
+    monkeypatch.setattr(Evaluator, "__call__", count)
+    rough = measured(std=30.0 * STD)
+    calibrate(MODEL, within(1.8), rough, intervals=None, **EXACTLY)
+    alone, said = len(counted), []
+    result = calibrate(MODEL, within(1.8), rough, stage=said.append, **EXACTLY)
+    assert all("exclude no value" in str(i) for i in result.intervals)
+    assert says(said, "allow the bounds of", "E")
+    assert not any("profile" in text for text in said)
+    assert len(counted) - 2 * alone <= 4  # the first point of each fit tells
+
+
+def profiled(result, poses, monkeypatch, linear, ends):
+    """Intervals of both parameters, and which were asked for, with given `ends`."""
+    asked = []
+
+    def profile_ends(self, level, which, only_bounds=False, ended=None):
+        for column in which:
+            asked.append((column, only_bounds))
+            if ended is not None:
+                ended(column, ends[column])
+        return [ends[column] for column in which]
+
+    monkeypatch.setattr(Fitted, "profile_ends", profile_ends)
+    fitted = of_problem(result, poses)
+    intervals = _none(fitted, 0.95, "-")
+    _by_profile(fitted, 0.95, [0, 1], linear, intervals, lambda _: None)
+    return intervals, asked
+
+
+def ends_at(distance, why="likelihood"):
+    return (ProfileEnd(distance, why),) * 2
+
+
+@pytest.mark.parametrize(("off", "agrees"), [(0.9, True), (1.1, False)])
+def test_no_more_profiles_are_made_once_they_agree(
+    result, poses, monkeypatch, off, agrees
+):
+    monkeypatch.setattr("softcal_jax.calibration._checked_intervals.PAIR", 1)
+    linear = {0: ends_at(0.1), 1: ends_at(0.2)}
+    found = {0: ends_at(0.1 * (1.0 + off * CURVED)), 1: ends_at(0.3)}
+    intervals, asked = profiled(result, poses, monkeypatch, linear, found)
+    assert asked == ([(0, False)] if agrees else [(0, False), (1, False)])
+    assert intervals[0].kind == "profile"
+    assert intervals[1].kind == ("first-order" if agrees else "profile")
+    distance = 0.2 if agrees else 0.3
+    expected = result.value("density") * np.exp(distance)
+    np.testing.assert_allclose(intervals[1].upper, expected, rtol=1e-6)
+
+
+def test_a_bound_that_is_allowed_is_named(result, poses, monkeypatch):
+    rooms = room_of(result, 0), room_of(result, 1)
+    linear = {c: tuple(ProfileEnd(r, "bound") for r in rooms[c]) for c in (0, 1)}
+    low, high = rooms[0]
+    excluded = (ProfileEnd(low, "likelihood"), ProfileEnd(high, "bound"))
+    found = {0: excluded, 1: linear[1]}
+    intervals, asked = profiled(result, poses, monkeypatch, linear, found)
+    assert asked == [(0, True), (1, True)]
+    assert [i.kind for i in intervals] == ["none", "none"]
+    assert says(intervals[0], "hardly determine", "allow 100 MPa")
+    assert says(intervals[1], "exclude no value")
+    # Where the data exclude both, they know more than the linear model says.
+    found = {0: tuple(ProfileEnd(r, "likelihood") for r in rooms[0]), 1: linear[1]}
+    intervals, asked = profiled(result, poses, monkeypatch, linear, found)
+    assert asked == [(0, True), (1, True), (0, False)]
+
+
+def room_of(result, column):
+    down, up = result.space.room(result.z)
+    return -float(down[column]), float(up[column])
 
 
 def bare(kind, **values):
