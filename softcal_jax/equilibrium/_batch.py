@@ -1,6 +1,5 @@
 """Equilibria of a batch, on all cores, with their progress."""
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -37,9 +36,6 @@ from softcal_jax.equilibrium._workers import Program, Workers
 
 STEPS_BETWEEN = 2  # Newton iterations of a configuration between two reports
 
-FORESEEN_S = 5.0
-"""Time after which the share of the load predicts how long the rest takes [s]."""
-
 _CUT = 1.0 / 8.0
 """Share of what is left of the load down to which three cuts lead."""
 
@@ -49,7 +45,7 @@ is hard about it, in words."""
 
 
 class EquilibriumProgress(NamedTuple):
-    """Progress of an equilibrium from rest: Newton iterations and seconds so far.
+    """Progress of an equilibrium from rest: Newton iterations so far.
 
     `load` is the share of the load that is carried, `stiffer` the factor on the moduli
     of the start [-], `trouble` what is hard about it, in words.
@@ -59,7 +55,6 @@ class EquilibriumProgress(NamedTuple):
     load: float
     steps: int
     stiffer: float
-    seconds: float
     trouble: str = ""
 
     def __str__(self) -> str:
@@ -70,12 +65,7 @@ class EquilibriumProgress(NamedTuple):
         )
         if self.stiffer > 1.0:
             text += f", moduli {self.stiffer:g} times the start"
-        if self.trouble:  # and the time that is left cannot be foreseen
-            text += f", {self.trouble}"
-        elif self.seconds > FORESEEN_S and 0.0 < self.load < 1.0:
-            left = self.seconds * (1.0 - self.load) / self.load
-            text += f", about {left:.0f} s left"
-        return text
+        return f"{text}, {self.trouble}" if self.trouble else text
 
 
 def reports_of(
@@ -86,12 +76,9 @@ def reports_of(
     """Return a report for `equilibria`, which knows configurations by index alone."""
     if progress is None:
         return None
-    begun: dict[int, float] = {}
 
     def report(c: int, load: float, steps: int, trouble: str = "") -> None:
-        now = time.monotonic()
-        seconds = now - begun.setdefault(c, now)
-        progress(EquilibriumProgress(names[c], load, steps, factor, seconds, trouble))
+        progress(EquilibriumProgress(names[c], load, steps, factor, trouble))
 
     return report
 

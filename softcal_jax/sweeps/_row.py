@@ -200,7 +200,10 @@ class Progress:
             return text
         left = (self.total - self.ended) / self.rate
         text += f", {3600.0 * self.rate:.1f} per hour"
-        return f"{text}, {ends_at(left)}" if left else text
+        # Earlier, an estimate can be off by more than a factor of two.
+        of_run = self.total - self.before, self.ended - self.before
+        foreseen = left and 3 * of_run[1] >= of_run[0]
+        return f"{text}, {ends_at(left)}" if foreseen else text
 
 
 class Tally:

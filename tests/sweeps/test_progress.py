@@ -1,5 +1,6 @@
 """Rate and time left, and how they are told."""
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import pytest
@@ -16,16 +17,18 @@ def row(state="converged", worker="a"):
 def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
     clock = iter([62.0, 63.0, 64.0, 65.0])
     monkeypatch.setattr(row_module.time, "monotonic", lambda: next(clock))
-    tally = Tally(20, ["converged", "failed"])
+    tally = Tally(14, ["converged", "failed"])
     begin = tally.now()
     assert (begin.ended, begin.rate) == (2, None)
-    assert str(begin) == "2 of 20 trials (1 failed)"
+    assert str(begin) == "2 of 14 trials (1 failed)"
     assert tally.now(row()).rate is None
     for _ in range(2):
         tally.now(row())
     now = tally.now(row("not converged"))
     assert now.rate == pytest.approx(1.0)
-    assert says(now, "6 of 20", "1 failed, 1 not converged", "3600.0", "ends about")
+    assert says(now, "6 of 14", "1 failed, 1 not converged", "3600.0", "ends about")
+    early = replace(now, total=15)  # not yet a third of this run
+    assert "ends about" not in str(early)
 
 
 def test_workers_that_end_together_are_no_hurry(monkeypatch):
@@ -41,6 +44,6 @@ def test_workers_that_end_together_are_no_hurry(monkeypatch):
 def test_words():
     done = Progress(4, 4, 0, 0, 0, 0.5, None)
     assert str(done) == "4 of 4 trials, 1800.0 per hour"
-    slow = Progress(100, 4, 0, 0, 0, 0.0005, None)
-    ends = datetime.now() + timedelta(seconds=96 / 0.0005)  # more than two days
-    assert says(slow, "4 of 100", "1.8 per hour", f"ends about {ends:%d %b}, ")
+    slow = Progress(100, 40, 0, 0, 0, 0.0005, None)
+    ends = datetime.now() + timedelta(seconds=60 / 0.0005)  # more than a day
+    assert says(slow, "40 of 100", "1.8 per hour", f"ends about {ends:%d %b}, ")
