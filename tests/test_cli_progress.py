@@ -10,12 +10,16 @@ import time
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
+from export.handmade import make_result
 from small_project import write_small_project
 from wording import says
 
+from softcal_jax.calibration import MultiStartResult, Optimum
 from softcal_jax.cli import _display, main
 from softcal_jax.cli._display import Compiling, Display
+from softcal_jax.cli._shared import so_far
 
 
 @pytest.fixture
@@ -24,22 +28,22 @@ def out(tmp_path):
 
 
 def test_a_log_says_what_is_under_way_in_plain_lines(monkeypatch, capsys):
-    """At growing intervals, with the time so far, and without carriage returns."""
-    monkeypatch.setattr(_display, "FIRST_S", 0.3)
+    """After each silence, with the time so far, and without carriage returns."""
+    monkeypatch.setattr(_display, "SILENCE_S", 0.3)
     with Display(time.time() - 60.0) as show:
         show.now("equilibrium of droop: 40 % of the load", log=False, count=(2, 5))
         time.sleep(1.6)
     text, errors = capsys.readouterr()
     assert errors == ""
     lines = text.splitlines()
-    assert 1 <= len(lines) <= 3
+    assert 3 <= len(lines) <= 5
     pattern = r"  equilibrium of droop: 40 % of the load \(2 of 5\); 6\d s so far"
     assert all(re.fullmatch(pattern, line) for line in lines)
     assert not set("\r\x1b") & set(text)
 
 
 def test_quiet_leaves_progress_out_and_keeps_what_counts(monkeypatch, capsys):
-    monkeypatch.setattr(_display, "FIRST_S", 0.1)
+    monkeypatch.setattr(_display, "SILENCE_S", 0.1)
     with Display(time.time(), quiet=True) as show:
         show.now("solving")
         show.note("step 1")
@@ -150,6 +154,48 @@ def test_json_of_identify_and_check(tmp_path, capsys):
     assert read["configurations"] == {"weight": "fitted", "pulled": "held out"}
     assert read["parameters"] == ["E"]
     assert read["picture"] is None
+
+
+def searched(*ends):
+    """A search whose starts ended at E, with costs that rise."""
+    optima = {E: ends.count(E) for E in dict.fromkeys(ends)}
+    first = np.cumsum([0, *optima.values()])
+    n = len(ends)
+    return MultiStartResult(
+        names=("E", "nu"),
+        starts=np.zeros((n, 2)),
+        values=np.zeros((n, 2)),
+        z=np.zeros((n, 2)),
+        cost=np.ones(n),
+        steps=np.full(n, 4),
+        converged=np.ones(n, bool),
+        errors=np.ones((n, 1)),
+        optima=tuple(
+            Optimum(1.0 + k, {"E": E, "nu": 0.4}, tuple(range(first[k], first[k] + m)))
+            for k, (E, m) in enumerate(optima.items())
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("starts", "first"),
+    [
+        (None, "Preliminary values, from one start; the error budget to come"),
+        (searched(2e5, 2e5), "Preliminary values, from 2 of 2 starts"),
+        (searched(2e5, 3e5, 3e5), "starts disagree: 1 of 3 ... 2 at E = 300.00 kPa"),
+    ],
+    ids=["one", "agree", "disagree"],
+)
+def test_what_is_not_known_for_certain_is_shown_as_such(starts, first, capsys):
+    """Without an error; starts that disagree come first."""
+    result = make_result(starts=starts, left_out=("the error budget",))
+    with Display(time.time()) as show:
+        so_far(result, show)
+    lines = capsys.readouterr().out.splitlines()
+    assert says(lines[0], first)
+    assert says(lines, "Preliminary values", "to come")
+    assert says(lines, "E = 240 kPa")
+    assert not any(sign in line for line in lines for sign in ("±", "+-"))
 
 
 def test_no_text_of_jax_or_xla_reaches_the_user(tmp_path):

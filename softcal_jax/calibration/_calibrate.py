@@ -81,7 +81,6 @@ def calibrate(
     deviations: Float[Array, "n_c n_p"] | None = None,
     goals: bool = False,
     intervals: float | None = LEVEL,
-    quick: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
@@ -124,8 +123,6 @@ def calibrate(
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
-        quick: Whether to stop at the answer so far, see `answer`. What was left out is
-            listed in `result.left_out`, and the verdict says so.
         checkpoint: File in which the state is saved after every step, and in a search
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
@@ -135,7 +132,8 @@ def calibrate(
         equilibrium_progress: Called while equilibria are solved from rest: the first
             ones, and those of held-out configurations.
         answer: Called with the result so far, its standard errors by the noise alone,
-            once the steps have ended and held-out configurations are predicted.
+            once the steps have ended and held-out configurations are predicted;
+            `result.left_out` says what is still to come.
         stage: Called with a text: what is computed next, and how much work it is.
 
     Returns:
@@ -178,7 +176,7 @@ def calibrate(
         start=start,
         deviations=deviations,
         goals=goals,
-        quick=quick,
+        intervals=intervals,
     )
     if deviations is not None and intervals is not None:
         raise ValueError("specimens that deviate have no intervals: intervals=None.")
@@ -186,24 +184,27 @@ def calibrate(
     watch = Watch(
         checkpoint, progress, search_progress, equilibrium_progress, answer, stage
     )
-    first = fit(task, batch, watch)
+    return _with_intervals(task, batch, watch)
+
+
+def _with_intervals(task: Task, batch: Batch, watch: Watch) -> CalibrationResult:
+    """Fit, and find the intervals of the parameters if they are asked for."""
+    first, intervals = fit(task, batch, watch), task.intervals
     if intervals is None or first.result.interrupted:
         return first.result
-    if quick:
-        left_out = (*first.result.left_out, "the intervals")
-        return replace(first.result, left_out=left_out)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old = done.result
         assert old.noise is not None
         resume = Resume(z, old.noise, old.history)
-        new = fit(task._replace(starts=1), batch, Watch(progress=progress), resume)
+        again = watch._replace(checkpoint=None, answer=None)
+        new = fit(task._replace(starts=1), batch, again, resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         result = replace(new.result, starts=old.starts, timing_s=timing)
         return new._replace(result=result)
 
     try:
-        return with_intervals(first, intervals, go_on, stage)
+        return with_intervals(first, intervals, go_on, watch.stage)
     except KeyboardInterrupt:
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)

@@ -1,6 +1,6 @@
 """Equilibria, errors and compliances of a calibration at some parameters."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -335,10 +335,14 @@ class Evaluator:
         return effectors_on_all_cores(self.workers, *self.posed(z), solution)
 
     def from_rest(
-        self, z: Float[Array, " n_p"], report: Report | None = None
+        self,
+        z: Float[Array, " n_p"],
+        report: Report | None = None,
+        solved: Callable[[], None] = lambda: None,
     ) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `equilibria`.
 
+        `solved` is called between the equilibria and their compliances.
         Responses at the last starts are kept for fits that differ in their data alone.
         """
         start = self._without_data(z)
@@ -348,7 +352,9 @@ class Evaluator:
             rest = jnp.zeros((self.problem.model.n_points, 3))
             lane = z, self.lanes[0], rest, rest, jnp.asarray(False)
             self.workers.ahead(lambda: (self._program, [lane]))
-            response = stacked(self.closed(every, z, self.equilibria(z, report)))
+            solution = self.equilibria(z, report)
+            solved()
+            response = stacked(self.closed(every, z, solution))
         _FROM_REST[start] = response
         for oldest in list(_FROM_REST)[:-MOST_KEPT]:
             _FROM_REST.pop(oldest, None)

@@ -66,7 +66,7 @@ from softcal_jax.inference import (
 )
 from softcal_jax.unknowns import Setting, compile_considered, considered_errors
 
-BUDGET = "the error budget"  # what is left out of the answer so far
+BUDGET, INTERVALS = "the error budget", "the intervals"  # come after the answer so far
 
 
 class Watch(NamedTuple):
@@ -118,7 +118,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         place, search = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
         setting, z = batch.setting, weighed.state.z
-        if not (task.quick or journal.interrupted):
+        if not journal.interrupted:
             compile_considered(workers, setting, z)
         held_out = tuple(c.name for c in task.held_out)
         if held_out:
@@ -129,10 +129,11 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         solved = _Solved(start, search, weighed, predicted, journal, clock)
         lanes = setting.lanes._replace(arrays=predicted.problem.configurations)
         setting = setting._replace(lanes=lanes)
-        so_far = cache(lambda: replace(_result(task, solved), left_out=(BUDGET,)))
+        open_ = (BUDGET,) if task.intervals is None else (BUDGET, INTERVALS)
+        so_far = cache(lambda: replace(_result(task, solved), left_out=open_))
         if watch.answer is not None:
             watch.answer(so_far())
-        if task.quick or journal.interrupted:
+        if journal.interrupted:
             result = so_far()
         else:
             result = _with_budget(task, watch, solved, setting, workers, so_far)
@@ -251,7 +252,7 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     first = admissible(task.space.numbered, z)
     names = tuple(c.name for c in task.fitted)
     evaluate = Evaluator(batch.fitted, workers)
-    start = begin(evaluate, first, names, watch.equilibrium_progress)
+    start = begin(evaluate, first, names, watch.equilibrium_progress, watch.stage)
     read = start.evaluation.response
     records = batch.setting.lanes.effectors
     check_numbers(names, records, read.effectors, read.W_ep)
@@ -277,8 +278,9 @@ def _place(
         jnp.concatenate([start.z[None], others]),
         mirror=True,
         journal=journal,
-        progress=watch.search_progress,
+        progress=watch.search_progress or (lambda _: None),
     )
+    watch.stage("equilibria at the best of the starts")
     z = jnp.asarray(runs.z[runs.best])
     return Start(evaluate, z, evaluate.from_rest(z), ()), runs
 

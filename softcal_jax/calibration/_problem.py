@@ -291,7 +291,7 @@ class Task(NamedTuple):
     start: Float[Array, " n_p"] | None
     deviations: Float[Array, "n_c n_p"] | None
     goals: bool
-    quick: bool
+    intervals: float | None
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:

@@ -416,6 +416,20 @@ class CalibrationResult(Result):
         return bool(self.doubts) or self.missed > MISSED
 
     @property
+    def beyond_noise(self) -> bool:
+        """Whether residuals are larger than the noise, fitted or held out.
+
+        Where no noise is stated, that the model contradicts the data is all there is.
+        """
+        spread, checks = self.uncertainty, self.checks
+        stated = checks is not None and math.isfinite(checks.level)
+        if spread.noise == "estimated" and not stated:
+            return self.contradicted
+        off = any(fit.misfit(spread.noise, spread.level) for fit in self.configurations)
+        large = checks is not None and checks.probability < UNLIKELY
+        return off or large or spread.misfits or self.missed > MISSED
+
+    @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
         return Estimate(self.space, self.z, self.budget.covariance, self.contradicted)

@@ -313,12 +313,13 @@ def run_start(
     begun: Begun | None = None,
     known: Sequence[Basin] = (),
     note: Callable[[Begun], None] = lambda _: None,
-    note_step: Callable[[int, CalibrationState], None] = lambda *_: None,
+    note_step: Callable[[int, CalibrationState | None], None] = lambda *_: None,
 ) -> Begun:
     """Run the outer loop from a start and its images to the end.
 
     `begun` is the progress of the run so far; `note` is called after each image,
-    whether it was run or skipped. An image that leads to a `known` optimum ends there.
+    whether it was run or skipped, `note_step` before an image and after each of its
+    steps. An image that leads to a `known` optimum ends there.
     If another run found that optimum, this run ends too, with that run's best end,
     unless its own is lower.
     """
@@ -333,6 +334,7 @@ def run_start(
         if not again and wanted(evaluate.problem, best, image):
             reached = [Basin(z[k], cost[k]) for k in np.flatnonzero(np.isfinite(cost))]
             step = partial(note_step, i)
+            step(None)
             end, optimum = _to(evaluate, settings, origin, (*known, *reached), step)
             if end.converged:
                 this_image = np.arange(len(images)) == i

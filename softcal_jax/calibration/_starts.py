@@ -1,5 +1,6 @@
 """Where a fit starts: first equilibria, and the search from many starts."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -75,6 +76,7 @@ def begin(
     z: Float[Array, " n_p"],
     names: tuple[str, ...],
     progress: Callable[[EquilibriumProgress], None] | None = None,
+    stage: Callable[[str], None] = lambda _: None,
 ) -> Start:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
@@ -84,7 +86,8 @@ def begin(
     """
     problem, raised, factor = evaluate.problem, z, 1.0
     report = partial(reports_of, progress, names)
-    first = evaluate.from_rest(z, report())
+    solved = partial(stage, "how the poses depend on the parameters")
+    first = evaluate.from_rest(z, report(), solved)
     solution = first.equilibrium
     if solution.converged.all():
         return Start(evaluate, z, first, ())
@@ -97,7 +100,7 @@ def begin(
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
-        evaluation = evaluate.from_rest(raised, report(factor))
+        evaluation = evaluate.from_rest(raised, report(factor), solved)
         solution = evaluation.equilibrium
         if solution.converged.all():
             note += f" The fit began with stiffer moduli: {_values(problem, raised)}."
@@ -142,8 +145,8 @@ class SearchProgress(NamedTuple):
         start: Index of the start.
         starts: Number of starts at most.
         image: 0 from the start itself, else the number of the image.
-        step: Number of the step from there.
-        rms: Root mean square of the marker distances after it [m].
+        step: Number of the step from there; 0 before the first equilibria.
+        rms: Root mean square of the marker distances after it, else nan [m].
     """
 
     start: int
@@ -155,10 +158,9 @@ class SearchProgress(NamedTuple):
     def __str__(self) -> str:
         """Write the step in one line."""
         image = f", mirror image {self.image}" if self.image else ""
-        return (
-            f"start {self.start + 1} of {self.starts}{image}, step {self.step}: rms "
-            f"{1e3 * self.rms:.3f} mm"
-        )
+        now = f"step {self.step}: rms {1e3 * self.rms:.3f} mm"
+        now = now if self.step else "first equilibria"
+        return f"start {self.start + 1} of {self.starts}{image}, {now}"
 
 
 def multi_start(
@@ -216,7 +218,7 @@ def search(
     mirror: bool,
     journal: Journal,
     enough: float = ENOUGH,
-    progress: Callable[[SearchProgress], None] | None = None,
+    progress: Callable[[SearchProgress], None] = lambda _: None,
 ) -> MultiStartResult:
     """Run the search of `multi_start`; the journal returns the runs saved before.
 
@@ -234,10 +236,11 @@ def search(
         begun[i] = now
         journal.keep(f"run{i}", now)
 
-    def report(i: int, image: int, state: CalibrationState) -> None:
-        if progress is not None:
-            rms = marker_rms(evaluate.problem, state.evaluation)
-            progress(SearchProgress(i, len(rows), image, int(state.step), rms))
+    def report(i: int, image: int, state: CalibrationState | None) -> None:
+        step, rms = 0, math.nan
+        if state is not None:
+            step, rms = int(state.step), marker_rms(evaluate.problem, state.evaluation)
+        progress(SearchProgress(i, len(rows), image, step, rms))
 
     def run_from(known: Sequence[Basin], i: int) -> Begun:
         run = partial(run_start, evaluate, settings, rows[i], images=images)

@@ -58,13 +58,12 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
             progress=cli.step_lines(project, show),
             search_progress=lambda step: show.now(str(step), log=False),
             equilibrium_progress=cli.equilibrium_lines(show),
-            quick=args.quick,
-            answer=lambda result: None if args.quick else cli.so_far(result, show),
+            answer=lambda result: cli.so_far(result, show),
             stage=show.now,
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    if assessment.contradicted and not (args.quick or result.interrupted):
+    if result.beyond_noise and not result.interrupted:
         result = _with_mistakes(result, show)
     show.line()
     if args.verbose:

@@ -22,11 +22,7 @@ from rich.text import Text
 
 from softcal_jax._text import escaped
 
-FIRST_S, LONGEST_S = 2.0, 30.0
-"""Silences, the first and the longest, after which a log says what is under way [s].
-
-The silence doubles from one such line to the next.
-"""
+SILENCE_S = 4.0  # after which a log says what is under way [s]
 
 _COMPILE = "/jax/core/compile/"
 _BACKEND = f"{_COMPILE}backend_compile_duration"
@@ -257,10 +253,8 @@ class Display:
 
     def _beat(self) -> None:
         """Say what is under way after a long silence."""
-        silence = FIRST_S
         while not self._over.wait(0.2):
-            if self._what and time.monotonic() - self._said >= silence:
-                silence = min(2.0 * silence, LONGEST_S)
+            if self._what and time.monotonic() - self._said >= SILENCE_S:
                 words = ", ".join(filter(None, [self._what, self.compiling.words()]))
                 self.note(f"  {words}; {time.time() - self.begin:.0f} s so far")
 

@@ -198,8 +198,6 @@ take about as long as as many configurations; the verdict stands before.""",
     for command in (beam, fit):
         text = "also print the tables of the report"
         command.add_argument("--verbose", "-v", action="store_true", help=text)
-        text = "stop at the first answer: no error budget, intervals or pictures"
-        command.add_argument("--quick", action="store_true", help=text)
     for command in (beam, fit, forward, plan, outlook):
         cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
     add_new(commands)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import shtab
 
+from softcal_jax._names import listed
 from softcal_jax._places import cause, check_place
 from softcal_jax._text import escaped, with_short_names
 from softcal_jax._warnings import SoftcalWarning
@@ -224,12 +225,10 @@ def write_results(
     """
     show.now("writing results")
     if "pictures" in args:
-        none = args.no_pictures or getattr(args, "quick", False)
         drawing = partial(show.now, "drawing pictures", log=False)
         progress = lambda done, total: drawing(count=(done, total))
-        write = partial(
-            write, pictures=None if none else args.pictures, progress=progress
-        )
+        suffix = None if args.no_pictures else args.pictures
+        write = partial(write, pictures=suffix, progress=progress)
     with bad_input():
         try:
             where = write(args.output, force=args.force, timing_s=show.laps)
@@ -291,14 +290,23 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
 
 
 def so_far(result: "CalibrationResult", show: Display) -> None:
-    """Print the values before the error budget, intervals and pictures."""
+    """Print the values before their errors, and what may still change them."""
     from softcal_jax.export import readable_estimate
     from softcal_jax.report import held_out_sentences
 
-    show.note("Preliminary values, with standard errors from the noise alone:")
+    of = "one start"
+    if result.starts is not None and result.starts.optima:
+        n, (best, *others) = len(result.starts.cost), result.starts.optima
+        of = f"{len(best.starts)} of {n} starts"
+        text = f"The starts disagree: {of} ended at the values below"
+        for other in [optimum for optimum in others if optimum.starts][:1]:
+            there = _values(result.space.parameters, other.values)
+            text += f", {len(other.starts)} at {there}"
+        if len(best.starts) < n:
+            show.note(f"{text}.")
+    show.note(f"Preliminary values, from {of}; {listed(result.left_out)} to come:")
     for p in result.parameters:
-        value = readable_estimate(p.value, p.standard_error, p.unit)
-        show.note(f"  {p.name} = {value}")
+        show.note(f"  {p.name} = {readable_estimate(p.value, math.nan, p.unit)}")
     if math.isfinite(result.history[-1].rms):
         show.note(f"  Residuals: {1e3 * result.history[-1].rms:.2f} mm rms")
     for sentence in held_out_sentences(result.configurations):

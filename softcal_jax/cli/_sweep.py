@@ -1,7 +1,6 @@
 """`softcal sweep`: many calibrations, side by side; `softcal sweep show`."""
 
 import argparse
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,6 @@ from softcal_jax.exchange.exporters import quantity
 if TYPE_CHECKING:
     from softcal_jax.sweeps import Progress, Sweep, TrialRow
 
-QUIET_S = 30.0  # time between lines on progress in a log [s]
 MOST_SHOWN = 4  # figures of a trial in its line; its row holds all
 _OPTIONS = "workers", "cores_per_worker", "scheduler"  # say where trials run
 _SWEEP = """\
@@ -124,11 +122,9 @@ def _part(
 
 
 def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
-    """Return a callback that prints each trial as it ends, and progress at times."""
-    last = time.monotonic()
+    """Return a callback that prints each trial as it ends, and says how many have."""
 
     def progress(now: "Progress") -> None:
-        nonlocal last
         what = str(now)
         if now.row is None:
             done = f", {now.before} of them already done" if now.before else ""
@@ -138,9 +134,7 @@ def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
             show.document(_row_dict(now.row), indent=None)
             show.note(_row_line(now.row))
         if now.ended < now.total:
-            due = time.monotonic() - last >= QUIET_S
-            last = time.monotonic() if due else last
-            show.now(what, log=due, count=(now.ended, now.total))
+            show.now(what, log=False, count=(now.ended, now.total))
 
     return progress
 

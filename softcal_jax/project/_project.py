@@ -128,7 +128,6 @@ class Project(Module):
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-        quick: bool = False,
         answer: Callable[[CalibrationResult], None] | None = None,
         stage: Callable[[str], None] = lambda _: None,
     ) -> CalibrationResult:
@@ -165,7 +164,6 @@ class Project(Module):
             progress=progress,
             search_progress=search_progress,
             equilibrium_progress=equilibrium_progress,
-            quick=quick,
             answer=answer,
             stage=stage,
         )

@@ -1,4 +1,4 @@
-"""The answer comes before the error budget and the intervals, or alone."""
+"""The answer comes before the error budget and the intervals."""
 
 from dataclasses import replace
 from functools import partial
@@ -32,28 +32,15 @@ def full():
     return said, result
 
 
-@pytest.fixture(scope="module")
-def quick():
-    said = []
-    result = calibrate(
-        MODEL,
-        unknowns(),
-        measured(),
-        noise="stated",
-        uncertain=SCALES_UNKNOWN,
-        quick=True,
-        stage=said.append,
-    )
-    assert not said
-    return result
-
-
 def test_the_answer_is_by_the_noise_alone(full):
-    (answer, budget, *intervals), result = full
+    (start, answer, budget, *intervals), result = full
+    assert says(start, "depend on the parameters")
     assert says(budget, "error budget ... fit took")
     assert any("intervals" in text for text in intervals)
-    assert answer.left_out == ("the error budget",)
+    assert answer.left_out == ("the error budget", "the intervals")
+    assert says(assess(answer).reasons[-1], "noise alone", "error budget", "intervals")
     assert result.left_out == ()
+    assert not any("left out" in reason for reason in assess(result).reasons)
     by_noise = np.sqrt(np.diag(result.uncertainty.covariance))
     np.testing.assert_allclose(
         [p.value for p in answer.parameters], [p.value for p in result.parameters]
@@ -91,14 +78,3 @@ def test_what_is_compiled_ahead_is_what_is_run(monkeypatch, task, programs):
     task(MODEL, unknowns(), measured(), uncertain=SCALES_UNKNOWN)
     assert {name for _, name, *_ in ahead} == programs
     assert set(ahead) <= set(ran)
-
-
-def test_quick_stops_there_and_the_verdict_says_so(full, quick):
-    answer = full[0][0]
-    assert quick.left_out == ("the error budget", "the intervals")
-    assert quick.intervals == ()
-    assert [str(p) for p in quick.parameters] == [str(p) for p in answer.parameters]
-    verdict = assess(quick)
-    assert not verdict.identified
-    assert says(verdict.reasons[-1], "noise alone", "error budget", "intervals")
-    assert not any("left out" in reason for reason in assess(full[1]).reasons)

@@ -296,12 +296,14 @@ def test_a_search_says_how_far_it_is(searched):
     for start in range(STARTS):
         run = [p for p in progress if p.start == start]
         for before, now in pairwise(run):
-            assert now.step == (before.step + 1 if now.image == before.image else 1)
-        assert run[0].step == 1
-        assert len(run) == result.starts.steps[start]
+            assert now.step == (before.step + 1 if now.image == before.image else 0)
+        assert run[0].step == 0
+        assert sum(p.step > 0 for p in run) == result.starts.steps[start]
     assert {p.starts for p in progress} == {STARTS}
     line = str(SearchProgress(1, 6, 2, 4, 1.5e-3))
     assert says(line, "start 2 of 6", "image 2", "step 4", "1.500 mm")
+    line = str(SearchProgress(1, 6, 0, 0, np.nan))
+    assert says(line, "start 2 of 6", "first equilibria")
 
 
 @pytest.mark.parametrize(

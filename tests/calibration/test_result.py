@@ -13,11 +13,12 @@ from export.handmade import (
 from matplotlib.figure import Figure
 from wording import says
 
-from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.calibration import ConfigurationResult, ResidualChecks
 from softcal_jax.calibration._configuration_result import configuration_results
 from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 from softcal_jax.identifiability import assess
+from softcal_jax.inference import LackOfFit, Uncertainty
 from softcal_jax.plotting import draw_errors
 from softcal_jax.plotting._configuration import motion_words
 from softcal_jax.report import held_out_sentences
@@ -128,3 +129,20 @@ def test_a_pose_without_measured_points_has_no_distance():
     (chart,) = error_charts(result.configurations)
     assert "nan" not in chart
     assert "nan" not in str(result)
+
+
+@pytest.mark.parametrize(
+    ("level", "probability", "beyond"),
+    [(0.5, 0.99, False), (2.0, 1e-4, True), (np.nan, np.nan, True)],
+    ids=["within the noise", "above it", "no noise is stated"],
+)
+def test_a_shared_error_within_the_stated_noise_is_not_beyond_it(
+    level, probability, beyond
+):
+    """Poses whose markers share an error contradict the model, but not the noise."""
+    shared = LackOfFit(9.0, 8, 9, 2e-3, 1.0, np.ones(1))
+    checks = ResidualChecks(("droop",), shared, (), (), level, probability)
+    free = Uncertainty(4e-4 * np.eye(2), "estimated", 1.5, 10, 22.5, np.zeros(2, bool))
+    result = make_result(checks=checks, uncertainty=free)
+    assert result.contradicted
+    assert result.beyond_noise == beyond

@@ -83,7 +83,6 @@ def test_a_calibration_to_specimens_that_deviate():
         noise="stated",
         uncertain=exactly_known(),
         intervals=None,
-        quick=True,
     )
     assert found.converged
     np.testing.assert_allclose(found.z, shared, atol=1e-5)
