@@ -16,7 +16,15 @@ LAYERS = [
     {"_warnings"},
     {
         *("_apart", "_compilation_cache", "_limits", "_names", "_places"),
-        *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
+        *(
+            "_notebook",
+            "_process",
+            "_progress_line",
+            "_results",
+            "_text",
+            "_typing",
+            "_units",
+        ),
     },
     {"_lanes", "_module"},
     {"_files", "_text_table"},

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from softcal_jax._lanes import lane_of
 from softcal_jax._names import check_known, listed
 from softcal_jax._process import check_process
+from softcal_jax._progress_line import progress_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
@@ -82,11 +83,11 @@ def calibrate(
     goals: bool = False,
     intervals: float | None = LEVEL,
     checkpoint: str | os.PathLike[str] | None = None,
-    progress: Callable[[HistoryEntry], None] | None = None,
+    progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
     equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
     answer: Callable[[CalibrationResult], None] | None = None,
-    stage: Callable[[str], None] = lambda _: None,
+    stage: Callable[[str], None] | None = None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -127,7 +128,9 @@ def calibrate(
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
             disk, the calibration goes on with a warning and a note.
-        progress: Called after the first evaluation and after each step.
+        progress: Called after the first evaluation and after each step. By default, on
+            a terminal and in notebooks, a line says what is under way, also by the
+            other callbacks that are not given; False switches it off.
         search_progress: Called after each step of a search, in one of its threads.
         equilibrium_progress: Called while equilibria are solved from rest: the first
             ones, and those of held-out configurations.
@@ -181,10 +184,16 @@ def calibrate(
     if deviations is not None and intervals is not None:
         raise ValueError("specimens that deviate have no intervals: intervals=None.")
     batch = _batch(task)
-    watch = Watch(
-        checkpoint, progress, search_progress, equilibrium_progress, answer, stage
-    )
-    return _with_intervals(task, batch, watch)
+    with progress_line(wanted=progress is None) as line:
+        watch = Watch(
+            checkpoint,
+            progress or line,
+            search_progress or line,
+            equilibrium_progress or line,
+            answer,
+            stage or line or (lambda _: None),
+        )
+        return _with_intervals(task, batch, watch)
 
 
 def _with_intervals(task: Task, batch: Batch, watch: Watch) -> CalibrationResult:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -64,7 +64,7 @@ class _Asked(NamedTuple):
     seed: int
     settings: CalibrationSettings
     newton: NewtonSettings | None
-    progress: Callable[[HistoryEntry], None] | None
+    progress: Callable[[HistoryEntry], None] | Literal[False] | None
     search_progress: Callable[[SearchProgress], None] | None
 
 
@@ -83,7 +83,7 @@ def design(
     seed: int = 0,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
-    progress: Callable[[HistoryEntry], None] | None = None,
+    progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
     answer: Callable[[DesignResult], None] = lambda _: None,
     stage: Callable[[str], None] = lambda _: None,
@@ -115,6 +115,7 @@ def design(
         settings: Settings of the loop.
         newton: Settings of the equilibrium.
         progress: Called after each step of the design itself, once the search is over.
+            By default, on a terminal and in notebooks, a line; False switches it off.
         search_progress: Called after each step of a search.
         answer: Called with the design before anything is compared with it.
         stage: Called with a text: what is computed next.
@@ -150,7 +151,7 @@ def design(
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
     fit = _fit(asked, space, starts=starts)
     reached, others, lost = design_goals(fit, printing), [], ""
-    asked, of_prints = asked._replace(progress=None), None
+    asked, of_prints = asked._replace(progress=False), None
     if robust and not fit.interrupted:
         stage("the least expected error of prints")
         try:

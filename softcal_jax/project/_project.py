@@ -125,11 +125,11 @@ class Project(Module):
         *,
         start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
-        progress: Callable[[HistoryEntry], None] | None = None,
+        progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
         search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
         answer: Callable[[CalibrationResult], None] | None = None,
-        stage: Callable[[str], None] = lambda _: None,
+        stage: Callable[[str], None] | None = None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
@@ -184,7 +184,7 @@ class Project(Module):
     def design(
         self,
         *,
-        progress: Callable[[HistoryEntry], None] | None = None,
+        progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
         search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
         answer: Callable[[DesignResult], None] = lambda _: None,
         stage: Callable[[str], None] = lambda _: None,

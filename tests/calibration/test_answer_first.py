@@ -1,5 +1,6 @@
 """The answer comes before the error budget and the intervals."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -8,7 +9,7 @@ import pytest
 from light_beam import MODEL, measured, unknowns
 from wording import says
 
-from softcal_jax.calibration import _evaluation, calibrate
+from softcal_jax.calibration import _calibrate, _evaluation, calibrate
 from softcal_jax.equilibrium import Program, Workers, _workers
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import assess, identify
@@ -78,3 +79,27 @@ def test_what_is_compiled_ahead_is_what_is_run(monkeypatch, task, programs):
     task(MODEL, unknowns(), measured(), uncertain=SCALES_UNKNOWN)
     assert {name for _, name, *_ in ahead} == programs
     assert set(ahead) <= set(ran)
+
+
+@pytest.mark.parametrize("progress", [None, False, print])
+def test_a_line_says_what_nobody_listens_to(monkeypatch, full, progress):
+    """By default; it is switched off, or replaced by callbacks."""
+    watches, shown = [], []
+
+    @contextmanager
+    def line(*, wanted):
+        yield shown.append if wanted else None
+
+    def told(task, batch, watch):
+        watches.append(watch)
+        return full[1]
+
+    monkeypatch.setattr(_calibrate, "progress_line", line)
+    monkeypatch.setattr(_calibrate, "_with_intervals", told)
+    calibrate(MODEL, unknowns(), measured(), progress=progress)
+    (watch,) = watches
+    watch.stage("predicting")
+    assert shown == (["predicting"] if progress is None else [])
+    assert bool(watch.progress) == (progress is not False)
+    assert bool(watch.search_progress) == (progress is None)
+    assert bool(watch.equilibrium_progress) == (progress is None)
