@@ -207,10 +207,11 @@ def _end(profile: "_Profile") -> ProfileEnd:
                 return ProfileEnd(profile.seen[outside].distance, "likelihood")
             before = profile.seen[outside].excess
             value = profile.follow(inside, outside)
-            if value == before and np.isinf(steep):
+            same = before - value <= CLOSE_ENOUGH * rise
+            if same and np.isinf(steep):
                 return ProfileEnd(profile.seen[outside].distance, "likelihood")
             # The same cost again: not another valley, but a profile that is steep.
-            steep = np.inf if value == before else STEEP
+            steep = np.inf if same else STEEP
             span = (inside, outside) if value >= 0.0 else None
             inside = outside
     except NotFound:

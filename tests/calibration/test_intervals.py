@@ -225,6 +225,26 @@ def test_a_profile_that_jumps_ends_there():
     np.testing.assert_allclose(reached.distance, 1.0, rtol=1e-3)
 
 
+@pytest.mark.usefixtures("unchecked")
+def test_repeated_fits_that_hardly_change_it_are_not_repeated_for_ever():
+    """They creep, and each is a thousandth of the rise better than the last one."""
+    creeps, followed = Valleys(20.0, 1.0), []
+
+    def value(distance):
+        if distance <= 1.0:
+            return -1.0
+        followed.append(distance)
+        return 50.0 - 2e-3 * len(followed)
+
+    creeps.value = value
+    follow, repeats = creeps.follow, []
+    creeps.follow = lambda *span: repeats.append(span) or follow(*span)
+    reached = _end(creeps)
+    assert reached.why == "likelihood"
+    np.testing.assert_allclose(reached.distance, 1.0, rtol=1e-3)
+    assert len(repeats) == 2
+
+
 @pytest.mark.parametrize(
     ("excess", "most"),
     [
