@@ -18,6 +18,7 @@ class Terminal(io.StringIO):
 def test_on_a_terminal_it_goes_on_and_leaves_nothing(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     with progress_line(wanted=True) as line:
+        assert line is not None
         line("step 3: rms 0.1 mm\nand more")
         time.sleep(1.2)
     shown = [text.rstrip() for text in terminal.getvalue().split("\r")]
@@ -47,6 +48,7 @@ def test_a_notebook_has_an_output_that_is_replaced(monkeypatch):
     ipython = SimpleNamespace(get_ipython=lambda: kernel, display=display)
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     with progress_line(wanted=True) as line:
+        assert line is not None
         line("predicting")
         time.sleep(0.7)
     texts = [shown["text/plain"] for shown in outputs]
