@@ -50,6 +50,10 @@ def tidy(notebook: NotebookNode) -> None:
     Raises:
         ValueError: If a picture cannot be made small enough.
     """
+    for cell in notebook.cells:
+        if cell.cell_type == "code":  # a progress line leaves an empty output
+            shown = [o for o in cell.outputs if o.get("data") != {"text/plain": ""}]
+            cell.outputs = shown
     outputs = (output for cell in notebook.cells for output in cell.get("outputs", []))
     for output in outputs:
         if "image/png" in output.get("data", {}):
