@@ -280,8 +280,6 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
     for column in straight:
         ends = linear[column]
         intervals[column] = whole_interval(result, column, level, ends, "first-order")
-    for column in bent:
-        intervals[column] = replace(intervals[column], why=INTERRUPTED)
     with suppress(KeyboardInterrupt):
         # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
@@ -341,8 +339,14 @@ def _by_profile(
     are, until all of a pair agree with the linear model; those that are left are taken
     from it.
     """
-    result, left = fitted.result, list(which)
-    unseen = _unidentified(result, which, linear)
+    result, none = fitted.result, (ProfileEnd(0.0, "likelihood"),) * 2
+    # Where errors of what is held fixed reach both bounds, the noise does not matter.
+    for column in which:
+        intervals[column] = whole_interval(result, column, level, none)
+    left = [column for column in which if intervals[column].kind != "none"]
+    for column in left:
+        intervals[column] = replace(intervals[column], kind="none", why=INTERRUPTED)
+    unseen = _unidentified(result, left, linear)
     named = lambda columns: listed([result.space.names[c] for c in columns], MOST_NAMED)
 
     def keep(column: int, ends: Ends) -> None:

@@ -238,6 +238,20 @@ def test_a_bound_that_is_allowed_is_named(result, poses, monkeypatch):
     assert asked == [(0, True), (1, True), (0, False)]
 
 
+def test_no_fit_is_made_where_other_errors_reach_both_bounds(
+    result, poses, monkeypatch
+):
+    """Of E alone; the noise adds to these in quadrature."""
+    W_c = result.linear.W @ np.array([[20.0], [0.0]])
+    considered = ErrorColumns(W_c, ("loads",), ("load",))
+    unsure = replace(result, linear=replace(result.linear, considered=considered))
+    linear = {0: ends_at(0.1), 1: ends_at(0.2)}
+    intervals, asked = profiled(unsure, poses, monkeypatch, linear, linear)
+    assert asked == [(1, False)]
+    assert says(intervals[0], "exclude no value")
+    assert intervals[1].kind == "profile"
+
+
 def room_of(result, column):
     down, up = result.space.room(result.z)
     return -float(down[column]), float(up[column])
