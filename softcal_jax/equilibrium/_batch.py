@@ -28,6 +28,7 @@ from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     begin_newton,
     continue_newton,
+    loads_work,
     resumed,
     with_cause,
     without_readings,
@@ -194,7 +195,7 @@ class _Lanes:
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
         self._with_cause = partial(with_cause, model)
-        self._trouble = partial(_trouble, model) if report else lambda _: ""
+        self._trouble = partial(_trouble, model) if report else lambda *_: ""
         self._trace = lambda c: trace_equilibria(
             model, configurations[c], settings=newton, check=workers.check
         )
@@ -286,20 +287,23 @@ class _Lanes:
         """Iterate until Newton's method is done, or out of steps."""
         while True:
             ((state, solution),) = self.workers.map(go_on, [(lane, state)])
-            say(float(state.load_ok), int(state.step), self._trouble(state))
+            say(float(state.load_ok), int(state.step), self._trouble(lane, state))
             if bool(state.done) or int(state.step) >= self._most:
                 return state, solution
 
 
-def _trouble(model: Model, state: NewtonState) -> str:
-    """Say where the body resists, after three cuts of the load."""
+def _trouble(model: Model, lane: ConfigurationArrays, state: NewtonState) -> str:
+    """Say which load the body resists, and where, after three cuts of the load."""
     if not 0.0 < float(state.increment) <= _CUT * (1.0 - float(state.load_ok)):
         return ""
     det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)
     corners = np.asarray(model.mesh.tets)[np.argmin(det), :4]
     x, y, z = 1e3 * np.asarray(model.mesh.points)[corners].mean(axis=0)
+    works = loads_work(model, lane, state.stray)
+    most = max(works, key=works.__getitem__)
+    by = f"{most} does most of the work; " * (works[most] > 0.0)
     return (
-        f"load steps cut to {100.0 * float(state.increment):.2g} % (tets at "
+        f"load steps cut to {100.0 * float(state.increment):.2g} % ({by}tets at "
         f"({x:.3g}, {y:.3g}, {z:.3g}) mm deform most)"
     )
 

@@ -216,14 +216,23 @@ def with_cause(
         return replace(solution, result=RESULTS.law_unstable)
     if failed != RESULTS.limit_point:
         return solution
-    actuation, kinds = lane.actuation, model.mechanism.actuators.kinds
-    work = np.abs(actuation.forces * model.displacements(u))
-    work = np.where(actuation.by_displacement, 0.0, work)
-    chambers = np.array([kind.noun == "chamber" for kind in kinds], bool)
-    dead = np.sum((lane.dead_loads + gravity_load(model, lane.acceleration)) * u)
-    if np.sum(work[chambers]) > np.sum(work[~chambers]) + abs(dead):
+    works = loads_work(model, lane, u)
+    chambers = sum(w for what, w in works.items() if what.startswith("chamber"))
+    if 2.0 * chambers > sum(works.values()):
         return replace(solution, result=RESULTS.largest_pressure)
     return solution
+
+
+def loads_work(model: Model, lane: ConfigurationArrays, u: Nodal) -> dict[str, float]:
+    """Compute the work of weight, loads and imposed forces on a motion, by name [J]."""
+    actuators, actuation = model.mechanism.actuators, lane.actuation
+    nodal = gravity_load(model, lane.acceleration), lane.dead_loads
+    works = [np.sum(forces * u) for forces in nodal]
+    imposed = np.where(actuation.by_displacement, 0.0, actuation.forces)
+    each = zip(actuators.kinds, actuators.names, strict=True)
+    names = ["weight", "dead load", *(f"{kind.noun} {name!r}" for kind, name in each)]
+    works += [*(imposed * model.displacements(u))]
+    return {name: abs(float(work)) for name, work in zip(names, works, strict=True)}
 
 
 def resumed(state: NewtonState) -> NewtonState:
