@@ -288,6 +288,7 @@ def test_recordings_over_time_hold_a_pose_each(tmp_path, body):
     pytest.importorskip("ezc3d")
     for name, factor in (("10 N", 1.0), ("20 N", 2.0)):
         path = motion()
+        path[:, 1, 2] *= -1.0  # down, as a weight moves it
         path[:, 1] = path[:, 1] * 0.2 * factor + 10.0
         write_recording(tmp_path / f"{name}.c3d", path)
     files = [tmp_path / "10 N.c3d", tmp_path / "20 N.c3d"]
@@ -301,7 +302,7 @@ def test_recordings_over_time_hold_a_pose_each(tmp_path, body):
     assert held_out.name == "20 N"
     # It moves by 1.2 mm in each of 20 frames, of which the last eleven are averaged.
     moved = held_out.measured - project.calibration[0].measured
-    np.testing.assert_allclose(1e3 * moved[:, 2], [0.0, 1.2 * 15.0], atol=1e-5)
+    np.testing.assert_allclose(1e3 * moved[:, 2], [0.0, -1.2 * 15.0], atol=1e-5)
 
 
 def test_rows_are_told_apart_by_the_fewest_columns(tmp_path, body):

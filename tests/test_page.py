@@ -509,7 +509,7 @@ def test_page_of_what_data_would_tell(tmp_path):
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour
         assert outlook.headline in page.text
-        assert says(page.text, "'turned' is the most informative")
+        assert says(page.text, "'turned' tells most: expected error of theta")
         assert "Not ranked: 'crushed': inverted." in page.text
         _, *rows = page.tables["Predicted standard errors"]
         for row, q in zip(rows, data["identifiability"]["parameters"], strict=True):

@@ -108,6 +108,7 @@ NAME = "0 Pa to 1 kPa"
 
 @number_of_examples(10, 300)
 @pytest.mark.usefixtures("unchecked")  # a namespace stands for the design
+@pytest.mark.filterwarnings("ignore:.*what the body resists")  # any number is written
 def test_the_project_of_a_design(tmp_path, n):
     """A torque, a value on its bound, a cable that is let go, a goal in [shared]."""
 
