@@ -60,12 +60,13 @@ of any data. Above this residual, the tangent is assembled once more at the end.
 class _Quick(NamedTuple):
     """State of the quick steps; nothing was solved before the first of them.
 
-    `residual` and `steps` are those of the last step that was taken. `strains` are
-    those of the Newton step, unless `exact`: those of u if the residual is small
-    (`NEAR`). `sharp` tells whether it is below `SHARP`. `factor` belongs to the last
-    Newton step; with `chord` the next step reuses it. `arrived`: in equilibrium, but
-    the tangent may still be that of an earlier state; `converged`: and that step was
-    taken.
+    `residual` and `steps` are those of the last step that was taken. A Newton step
+    takes the strains that are predicted along `du` from `u`, where they were `strains`
+    (or, if `was_exact`, those of u). If `exact`, as where the residual is small
+    (`NEAR`), it takes those of the point. `sharp` tells whether the residual is below
+    `SHARP`. `factor` belongs to the last Newton step; with `chord` the next step reuses
+    it. `arrived`: in equilibrium, but the tangent may still be that of an earlier
+    state; `converged`: and that step was taken.
     """
 
     point: Point
@@ -75,6 +76,9 @@ class _Quick(NamedTuple):
     n_negative: Int[Array, ""]
     converged: Bool[Array, ""]
     strains: Strains
+    was_exact: Bool[Array, ""]
+    u: Nodal
+    du: Nodal
     exact: Bool[Array, ""]
     sharp: Bool[Array, ""]
     factor: Factor
@@ -171,11 +175,9 @@ class _QuickSteps(NamedTuple):
         lambda_a = estimated_forces(posed, point)
         no, count = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
         size = self.residual(point, lambda_a)
-        strains, exact = no_strains(self.model), ~no
-        if before is not None:
-            du = guess - before  # along straight lines, as it was extrapolated
-            strains, sound = predict(self.model, before, du, strains, exact)
-            exact = (size <= NEAR) | ~sound
+        # Along straight lines, as the guess was extrapolated.
+        du = jnp.zeros_like(guess) if before is None else guess - before
+        strains, exact = no_strains(self.model), (size <= NEAR) | (before is None)
         return _Quick(
             point=point,
             lambda_a=lambda_a,
@@ -184,6 +186,9 @@ class _QuickSteps(NamedTuple):
             n_negative=count,
             converged=no,
             strains=strains,
+            was_exact=~no,
+            u=point.u if before is None else before,
+            du=du,
             exact=exact,
             sharp=size <= SHARP,
             # Nothing yet, and not ok.
@@ -223,8 +228,14 @@ class _QuickSteps(NamedTuple):
     def step(self, s: _Quick) -> _Quick:
         """Take a Newton step, with a new factor unless `arrived`, or a chord step."""
         posed, rtol, last = self.posed, self.settings.rtol, s.residual
+        strains, usable = jax.lax.cond(
+            s.exact,
+            lambda: (s.strains, jnp.ones((), bool)),
+            lambda: predict(self.model, s.u, s.du, s.strains, s.was_exact),
+        )
+        exact = s.exact | ~usable
         newton_step = lambda: self.newton_step(
-            s.point, s.lambda_a, s.strains, s.exact, s.arrived
+            s.point, s.lambda_a, strains, exact, s.arrived
         )
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
@@ -259,17 +270,13 @@ class _QuickSteps(NamedTuple):
         old = s.point, s.lambda_a, last, s.steps, s.n_negative, s.converged
         moved = new, new_lambda, residual, steps, factor.n_negative, arrived
         pick = lambda a, b: jnp.where(taken, a, b)
-        du = posed.scatter(s.point.u, step.d)
-        exact = ~taken | (size <= NEAR)
-        strains, usable = jax.lax.cond(
-            exact,
-            lambda: (s.strains, jnp.ones((), bool)),
-            lambda: predict(self.model, s.point.u, du, s.strains, s.exact),
-        )
         return _Quick(
             *jax.tree.map(pick, moved, old),
             strains=strains,
-            exact=exact | ~usable,
+            was_exact=exact,
+            u=s.point.u,
+            du=posed.scatter(s.point.u, step.d),
+            exact=~taken | (size <= NEAR),
             sharp=taken & (size <= SHARP),
             factor=factor,
             chord=taken & ~arrived & close,

@@ -252,17 +252,20 @@ def predicted_strains(
     new = at_u + 0.5 * (x + _transposed(x))
     F = jnp.where(exact, F, strains.stretch)
     along = _product(_transposed(_inverse(F)), new - green_strain(F))
-    J, dJ = jax.jvp(lambda F: _dilatation(F, tet.w), (F,), (along,))
-    theta = jnp.where(exact, J, strains.theta)
 
     def second(F, theta):
         return _product(_inverse(F), _energies_and_stresses(F, tet, theta)[1])
 
-    S, dS = jax.jvp(second, (F, theta), (along, J + dJ - theta))
     stretch = jax.vmap(_stretch)(new)
-    sound = jnp.diagonal(stretch, axis1=1, axis2=2) > _LEAST_STRETCH
+    sound = jnp.all(jnp.diagonal(stretch, axis1=1, axis2=2) > _LEAST_STRETCH)
+    if not tet.mixed:
+        S, dS = jax.jvp(lambda F: second(F, None), (F,), (along,))
+        return Strains(stretch, S + dS, strains.theta), sound
+    J, dJ = jax.jvp(lambda F: _dilatation(F, tet.w), (F,), (along,))
+    theta = jnp.where(exact, J, strains.theta)
+    S, dS = jax.jvp(second, (F, theta), (along, J + dJ - theta))
     # First order is meaningless where a step would invert a tet: limit to a factor 4.
-    return Strains(stretch, S + dS, jnp.clip(J + dJ, 0.25, 4.0)), jnp.all(sound)
+    return Strains(stretch, S + dS, jnp.clip(J + dJ, 0.25, 4.0)), sound
 
 
 def newton_system(
