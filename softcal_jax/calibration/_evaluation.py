@@ -257,15 +257,19 @@ class Evaluator:
         *,
         lanes: Sequence[int] | None = None,
         known: EquilibriumSolution | None = None,
+        most: int | None = None,
         **more: Any,
     ) -> EquilibriumSolution:
         """Solve equilibria, by default from rest: see the function of this name.
 
-        `known` are equilibria of the first lanes, at these parameters.
+        `known` are equilibria of the first lanes, at these parameters; `most` is the
+        number of iterations after which one is given up, by default as set.
         """
         if self.problem.deviations is not None:
             return self._of_specimens(z, report, lanes, **more)
         (model, configurations), newton = self.posed(z), self.problem.newton
+        if most is not None:
+            newton = replace(newton, max_steps=min(most, int(newton.max_steps)))
         if known is not None:
             more["known"] = _known(configurations, known)
         if lanes is not None:

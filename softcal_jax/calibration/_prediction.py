@@ -68,6 +68,13 @@ def predict(
     return Predicted(model, problem, response, fits, tuple(notes), interrupted)
 
 
+MOST_BEFORE = 30
+"""Iterations spent on what a held-out configuration was before the fit.
+
+Where the start values are too soft for it, more would keep the user from the answer.
+"""
+
+
 class _AllLanes(NamedTuple):
     """All configurations at some z: those fitted, and equilibria of those held out.
 
@@ -80,16 +87,14 @@ class _AllLanes(NamedTuple):
     solved: dict[int, EquilibriumSolution]
     closed: dict[int, Response]
 
-    def solve(
-        self, lanes: Sequence[int], report: Report | None, *, arc_length: bool = False
-    ) -> None:
+    def solve(self, lanes: Sequence[int], report: Report | None, **options) -> None:
         """Solve lanes from rest, or from those near to them that were fitted."""
         self.evaluate.equilibria(
             self.z,
             report or (lambda *_: None),  # a few iterations at a time, for Ctrl-C
             lanes=lanes,
             known=self.fitted.equilibrium,
-            arc_length=arc_length,
+            **options,
             ended=lambda k, solution: self.solved.update({lanes[k]: solution}),
         )
 
@@ -130,7 +135,7 @@ def _solve_held_out(
         return [], False
     try:
         solve_last = partial(last.solve, lanes, report, arc_length=True)
-        solve = solve_last, partial(first.solve, lanes, None)
+        solve = solve_last, partial(first.solve, lanes, None, most=MOST_BEFORE)
         last.evaluate.workers.side_by_side(solve)
         last.close()
         first.close()

@@ -312,8 +312,8 @@ def _motion(
     if not moved:
         return "not measured"
     since = "since the reference" if before else "from rest"
-    ends = dict.fromkeys(f"{1e3 * end:.3g}" for end in (min(moved), max(moved)))
-    return f"moved by {' to '.join(ends)} mm {since}"
+    ends = (f"{round(1e3 * end, 6):.3g}" for end in (min(moved), max(moved)))
+    return f"moved by {' to '.join(dict.fromkeys(ends))} mm {since}"
 
 
 def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:

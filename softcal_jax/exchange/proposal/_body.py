@@ -26,7 +26,7 @@ from softcal_jax.mesh import (
 HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
 """Parts of names by which groups that are held are recognised."""
 
-MOST_TETS, COST = 30_000, 1.5
+MOST_TETS, COST = 30_000, 1.6
 """Tets that are proposed at most, and by which power of them the time grows [-]."""
 
 _FLAT = 1e-4
@@ -86,7 +86,7 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
     size = float(f"{min(bending, max(two_across, least)):.2g}")
     mesh, why = mesh_cad(path, size=size, **options), "halve it to see what changes"
     if two_across < bending:
-        longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.1g}")
+        longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.2g}")
         why = (
             f"{typed(two_across)}: two across the thinnest wall, {typed(wall)}{where}"
             f"\n# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as "
