@@ -106,7 +106,8 @@ def motion_words(fit: ConfigurationResult) -> str:
         return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
     if not any(point.seen.any() for point in fit.points):
         return "no markers"
-    size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else "no equilibrium"
+    none = "no equilibrium found"
+    size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else none
     text = size(fit.rms_after)
     if fit.role in ("design", "command"):
         return f"rms distance of the markers from their goals: {text}"

@@ -200,4 +200,4 @@ def test_the_subtitle_says_no_equilibrium_instead_of_nan():
     fit = make_fit(small_model().mesh)
     after = "1.00 mm after (5.0 %"
     assert says(motion_words(fit), "4.00 mm before", after)
-    assert says(motion_words(nowhere_before(fit)), "no equilibrium before", after)
+    assert says(motion_words(nowhere_before(fit)), "no equilibrium found before", after)
