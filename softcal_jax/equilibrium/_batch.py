@@ -299,9 +299,11 @@ def _trouble(model: Model, lane: ConfigurationArrays, state: NewtonState) -> str
     det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)
     corners = np.asarray(model.mesh.tets)[np.argmin(det), :4]
     x, y, z = 1e3 * np.asarray(model.mesh.points)[corners].mean(axis=0)
-    works = loads_work(model, lane, state.stray)
-    most = max(works, key=works.__getitem__)
-    by = f"{most} does most of the work; " * (works[most] > 0.0)
+    works, actuators = loads_work(model, lane, state.stray), model.mechanism.actuators
+    each = zip(actuators.kinds, actuators.names, strict=True)
+    names = "weight", "dead load", *(f"{kind.noun} {name!r}" for kind, name in each)
+    most = int(np.argmax(works))
+    by = f"{names[most]} does most of the work; " if works[most] > 0.0 else ""
     return (
         f"load steps cut to {100.0 * float(state.increment):.2g} % ({by}tets at "
         f"({x:.3g}, {y:.3g}, {z:.3g}) mm deform most)"

@@ -12,7 +12,7 @@ from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Bool, Float, Int, is_traced
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.configurations import (
     OTHER_POINTS,
     Configuration,
@@ -217,22 +217,24 @@ def with_cause(
     if failed != RESULTS.limit_point:
         return solution
     works = loads_work(model, lane, u)
-    chambers = sum(w for what, w in works.items() if what.startswith("chamber"))
-    if 2.0 * chambers > sum(works.values()):
+    chambers = [kind.noun == "chamber" for kind in model.mechanism.actuators.kinds]
+    if 2.0 * np.sum(works[2:][np.array(chambers, bool)]) > np.sum(works):
         return replace(solution, result=RESULTS.largest_pressure)
     return solution
 
 
-def loads_work(model: Model, lane: ConfigurationArrays, u: Nodal) -> dict[str, float]:
-    """Compute the work of weight, loads and imposed forces on a motion, by name [J]."""
-    actuators, actuation = model.mechanism.actuators, lane.actuation
+def loads_work(
+    model: Model, lane: ConfigurationArrays, u: Nodal
+) -> Float[HostArray, " n"]:
+    """Compute the work of weight, dead loads, and each imposed force on a motion [J].
+
+    Without its sign; that of an actuator whose displacement is imposed is 0.
+    """
     nodal = gravity_load(model, lane.acceleration), lane.dead_loads
-    works = [np.sum(forces * u) for forces in nodal]
+    actuation = lane.actuation
     imposed = np.where(actuation.by_displacement, 0.0, actuation.forces)
-    each = zip(actuators.kinds, actuators.names, strict=True)
-    names = ["weight", "dead load", *(f"{kind.noun} {name!r}" for kind, name in each)]
-    works += [*(imposed * model.displacements(u))]
-    return {name: abs(float(work)) for name, work in zip(names, works, strict=True)}
+    of_actuators = imposed * np.asarray(model.displacements(u))
+    return np.abs([*(np.sum(forces * u) for forces in nodal), *of_actuators])
 
 
 def resumed(state: NewtonState) -> NewtonState:
