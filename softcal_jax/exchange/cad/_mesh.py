@@ -28,12 +28,7 @@ from softcal_jax._places import cause, replacing
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import METRES, readable_values
-from softcal_jax.exchange.cad._surface import (
-    Triangles,
-    check_tangle,
-    read_stl,
-    turned_outwards,
-)
+from softcal_jax.exchange.cad._surface import Triangles, read_stl, turned_outwards
 
 _STEP = (".step", ".stp")
 CAD_FORMATS = (*_STEP, ".stl")
@@ -175,7 +170,6 @@ def _filled(
             faces = filled.faces
         else:
             surface, turned = turned_outwards(read_stl(path))
-            check_tangle(surface)
             notes += turned
             if n := int((meshes.sides_of(surface.triangles).counts != 2).sum()):
                 raise FillingError(f"it is open: {n} edges do not join two triangles.")

@@ -113,9 +113,11 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     with open edges are turned as most of their area is. Also returns what to say of it.
 
     Raises:
-        ValueError: If neighbours cannot be turned alike, as on a Moebius strip.
+        ValueError: If neighbours cannot be turned alike, as on a Moebius strip, or a
+            part runs through itself nearly everywhere.
     """
     part, flip = _alike(surface.triangles)
+    _check_tangle(surface, part)
     triangles = surface.triangles.copy()
     triangles[flip] = triangles[flip, ::-1]
     corners, in_file = surface.points[triangles], np.where(flip, -1.0, 1.0)
@@ -152,16 +154,15 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     return surface._replace(triangles=triangles), notes
 
 
-def check_tangle(surface: Triangles) -> None:
-    """Check that no part runs through itself nearly everywhere: noise, no body.
+def _check_tangle(surface: Triangles, part: Int[HostArray, " n"]) -> None:
+    """Raise for a part that runs through itself nearly everywhere: noise, no body.
 
-    Raises:
-        ValueError: If one does. Some programs would try to fill it for hours.
+    Some programs would try to fill it for hours.
     """
     import pyvista
 
     body = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles)
-    part, corners = _alike(surface.triangles)[0], surface.corners
+    corners = surface.corners
     middle = corners.mean(axis=1, keepdims=True)
     inside = middle + 0.99 * (corners - middle)  # so that no neighbour is met
     tried = np.random.default_rng(0).permutation(len(part))[:_TRIED]
