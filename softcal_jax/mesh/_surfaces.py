@@ -113,6 +113,10 @@ def select_cavity(
     return surface.faces[chosen]
 
 
+_MOST_CUT = 60
+"""Faces of the body that are tried as openings: a scan has thousands of facets."""
+
+
 class Cavity(NamedTuple):
     """The wall of a cavity, the faces of the body that it opens in, its volume [m3]."""
 
@@ -125,16 +129,20 @@ def find_cavities(mesh: TetMesh) -> list[Cavity]:
     """Find what is cut off from the surface of the body, and has a void on its inside.
 
     A closed cavity is; the wall of an open one is once a face of the body (see
-    `select_face`) in which it opens is taken away, or two of them.
+    `select_face`) in which it opens is taken away, or two of them. These are sought
+    among the `_MOST_CUT` largest.
     """
     surface = _FaceGraph(mesh)
     of_face = np.unique(surface.body_faces(), return_inverse=True)[1].ravel()
     pairs = np.unique(of_face[surface.sides // 3], axis=0)
     n, whole = int(of_face.max()) + 1, 0
-    beside = [np.unique(pairs[(pairs == k).any(axis=1)]).tolist() for k in range(n)]
-    both = sorted({two for near in beside for two in combinations(near, 2)})
+    a, b, c = np.moveaxis(surface.corners, 1, 0)
+    areas = np.bincount(of_face, np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    large = np.argsort(-areas, kind="stable")[:_MOST_CUT].tolist()
+    beside = [{*pairs[(pairs == k).any(axis=1)].flat} & {*large} for k in range(n)]
+    both = sorted({two for near in beside for two in combinations(sorted(near), 2)})
     found: dict[frozenset[int], Cavity] = {}
-    for cut in ((), *((k,) for k in range(n)), *both):
+    for cut in ((), *((k,) for k in sorted(large)), *both):
         ends = pairs[~np.isin(pairs, cut).any(axis=1)].T
         joined = coo_array((np.ones(len(ends[0])), tuple(ends)), (n, n))
         count, labels = connected_components(joined, directed=False)
