@@ -37,7 +37,6 @@ from softcal_jax.mesh._self_contact import (
 from softcal_jax.mesh._surfaces import (
     CAD_FACE as CAD_FACE,
     SHARP as SHARP,
-    Cavity as Cavity,
     distances_along as distances_along,
     find_cavities as find_cavities,
     matching_faces as matching_faces,

@@ -295,14 +295,14 @@ def _whereabouts(mesh: TetMesh, where: Predicate) -> str:
     return text
 
 
-FLAT = 0.01
+_DEPTH = 0.01
 """Depth of a face of the box around a body, over its size there [-]."""
 
 
 def box_faces(mesh: TetMesh) -> dict[str, Int[HostArray, " n"]]:
     """Return the nodes on the six faces of the box around a body, by words for each."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    near = lambda k, end: np.abs(mesh.points[:, k] - end[k]) <= FLAT * (high - low)[k]
+    near = lambda k, end: np.abs(mesh.points[:, k] - end[k]) <= _DEPTH * (high - low)[k]
     return {
         f"the face of {which} {axis}": np.flatnonzero(near(k, end))
         for which, end in (("least", low), ("largest", high))

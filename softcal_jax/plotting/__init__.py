@@ -29,7 +29,6 @@ from softcal_jax.plotting._figure import (
     DISPLACEMENT_MAP as DISPLACEMENT_MAP,
     MARKS as MARKS,
     PICTURES as PICTURES,
-    SCREEN as SCREEN,
     PictureStyle as PictureStyle,
     printed as printed,
 )
