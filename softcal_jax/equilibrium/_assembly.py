@@ -180,16 +180,27 @@ def _stiffness(u, tet, symmetric):
 
 
 def newton_terms(
-    model: Model, u: Nodal, strains: Strains, exact: Bool[Array, ""]
+    model: Model,
+    u: Nodal,
+    force: Nodal,
+    strains: Strains,
+    exact: Bool[Array, ""],
 ) -> tuple[Float[Array, " nnz"], Nodal]:
-    """Compute tangent [N/m] and force [N] of a Newton step, see `newton_system`."""
-    options = {"exact": exact, "symmetric": model.pattern.symmetric}
-    entries, forces = _map_blocks(model, u, _newton_terms, strains, **options)
-    return _add_entries(model, entries), _add_forces(model, forces)
+    """Compute tangent [N/m] and force [N] of a Newton step, see `newton_system`.
+
+    If `exact`, the strains are those of u, at which the internal `force` is known.
+    """
+
+    def turned():
+        options = {"symmetric": model.pattern.symmetric}
+        entries, forces = _map_blocks(model, u, _newton_terms, strains, **options)
+        return _add_entries(model, entries), _add_forces(model, forces)
+
+    return jax.lax.cond(exact, lambda: (tangent_values(model, u), force), turned)
 
 
-def _newton_terms(u, tet, strains, exact, symmetric):
-    K, f = newton_system(u, tet, strains, exact)
+def _newton_terms(u, tet, strains, symmetric):
+    K, f = newton_system(u, tet, strains)
     return tet.active * _kept(K, symmetric), tet.active * f
 
 

@@ -93,7 +93,7 @@ def newton_direction(
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
-    values, force = newton_terms(model, u, strains, exact)
+    values, force = newton_terms(model, u, point.force, strains, exact)
     options = {"mesh": values, "active": active, "tamed": tamed}
     tangent = assemble(posed, point, lambda_a, **options)
     # Held nodes that still have to move pull on the rest: - K du_held.

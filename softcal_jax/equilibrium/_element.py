@@ -272,7 +272,6 @@ def newton_system(
     u: Float[Array, "n_en 3"],
     tet: Tet,
     strains: Strains | None = None,
-    exact: Bool[Array, ""] | None = None,
 ) -> tuple[Float[Array, "n_en 3 n_en 3"], Float[Array, "n_en 3"]]:
     """Compute stiffness [N/m] and force [N] of a tet for a Newton step.
 
@@ -292,13 +291,10 @@ def newton_system(
     at u, as they are where E = E(u).
     """
     F = deformation_gradients(u, tet.dN)
-    if strains is None or exact is None:
+    if strains is None:
         at = _response(F, tet)
     else:
-        F0 = jnp.where(exact, F, strains.stretch)
-        theta = jnp.where(exact, _dilatation(F, tet.w), strains.theta)
-        at = _response(F0, tet, theta)
-        at = jax.lax.cond(exact, lambda: at, lambda: _turned(at, F, strains))
+        at = _turned(_response(strains.stretch, tet, strains.theta), F, strains)
     K = _pull(at.tangent, tet.dN)
     if at.pairs is not None:
         K = K + at.pairs.pulled(tet.dN)

@@ -6,7 +6,7 @@ from bodies import TIGHT, lane, solve
 
 from softcal_jax.calibration import simulation_result
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
-from softcal_jax.equilibrium import build_model, internal_force
+from softcal_jax.equilibrium import NewtonSettings, build_model, internal_force
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
@@ -30,22 +30,23 @@ def body(contrast):
     return build_model(MESH, NeoHookean(E, 0.3), density=1000.0)
 
 
-@pytest.mark.parametrize(("contrast", "rounding"), [(1.0, 0.1), (1e6, 0.5)])
-def test_the_residual_is_relative_to_the_forces(contrast, rounding):
+@pytest.mark.parametrize("contrast", [1.0, 1e6])
+def test_the_residual_is_relative_to_the_forces(contrast):
     """To the larger of external and internal force, whatever is stiffest.
 
-    A floor by the stiffest region would hide most of it.
+    A floor by the stiffest region would hide most of it. Newton's method is stopped
+    early, as another program does not repeat rounding: 4e-10 for the stiff body.
     """
     model = body(contrast)
-    solution = solve(model, LANES)
+    solution = solve(model, LANES, NewtonSettings(rtol=1e-3))
     inside = internal_force(model, solution.displacement[HANGING])
     outside = Posed.of(model, lane(LANES, HANGING)).f_ext
     free = np.where(lane(LANES, HANGING).fixed, 0.0, inside - outside)
     scale = max(np.linalg.norm(inside), np.linalg.norm(outside))
-    # What is left is partly rounding, which another program does not repeat: more of
-    # it the stiffer a region is beside its load.
     residual = np.linalg.norm(free) / scale
-    np.testing.assert_allclose(solution.residual[HANGING], residual, rtol=rounding)
+    assert residual > 5e-9
+    solved = solution.residual[HANGING]
+    np.testing.assert_allclose(solved, residual, rtol=1e-3, atol=1e-9)
 
 
 def test_rounding_that_stopped_the_solve_is_said():
