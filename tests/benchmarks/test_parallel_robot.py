@@ -101,3 +101,17 @@ def test_printed_robots_differ_and_are_read_with_noise():
     # Three draws of 0.3 mm.
     assert 0.05e-3 < np.linalg.norm(off) < 1.2e-3
     assert read.effectors[0].std == poses[0].effectors[0].std
+
+
+def test_poses_are_found_from_rest_at_once(working_point):
+    """The robot stands where its motors drive it, but has lost stability on the way.
+
+    So there are no load steps that lead to most of its poses.
+    """
+    configurations = (*robot().configurations, *robot().validation)
+    model = robot().model
+    arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
+    for i, c in enumerate(configurations):
+        solution = solve_equilibrium(model, lane_of(arrays, i))
+        assert bool(solution.converged), c.name
+        assert int(solution.steps) <= 30, c.name
