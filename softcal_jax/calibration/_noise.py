@@ -31,7 +31,7 @@ from softcal_jax.configurations import (
     EffectorArrays,
     EffectorRecord,
 )
-from softcal_jax.fields import QUANTITIES
+from softcal_jax.fields import KINDS
 from softcal_jax.inference import ATTACHMENTS, ErrorColumns, no_errors
 from softcal_jax.unknowns import (
     CREEP,
@@ -45,10 +45,10 @@ from softcal_jax.unknowns import (
     unknowns,
 )
 
-((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
+(OFFSETS,) = (kind for kind in KINDS.values() if kind.role == "noise")
 """The kind of unknown that is part of the noise: an offset of each recording."""
 
-RECORDINGS = _OFFSET.uncertain  # name of the offsets of recordings in the budget
+RECORDINGS = OFFSETS.uncertain  # name of the offsets of recordings in the budget
 
 AnyArray = Array | HostArray
 
@@ -302,9 +302,9 @@ def noise_columns(
     recordings = recording_names(configurations)
     several = len(set(recordings)) > 1
     labels = [
-        (RECORDINGS, f"{OFFSETS} {axis}" + f" in {name}" * several)
+        (RECORDINGS, f"{OFFSETS.name} {axis}" + f" in {name}" * several)
         for name in recordings
-        for axis in _OFFSET.components
+        for axis in OFFSETS.components
     ]
     labels += [(CREEP, creep_of(c)) for c in configurations]
     labels += [(ATTACHMENTS, "")] * (A.shape[1] - len(labels))

@@ -18,9 +18,9 @@ from softcal_jax.calibration._qp import DAMPING
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
+    KINDS,
     AbstractFieldEntry,
     ParameterSpace,
-    Poses,
     SetupParameter,
     Uncertain,
     kind_of,
@@ -266,11 +266,10 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
         for by in {kind.acts_by for kind in kinds} - {""}:
             if not np.any(getattr(arrays, by)):
                 return f"no configuration has {by}"
-    if isinstance(entry, SetupParameter) and entry.quantity.absent:
-        recordings = ("",) * len(arrays.gravity)
-        poses = Poses(problem.model, arrays, recordings)
-        if not any(key is not None for key in entry.quantity.occurs(poses)[entry.of]):
-            return entry.quantity.absent.format(of=entry.of)
+    if isinstance(entry, SetupParameter) and (kind := KINDS[entry.kind]).absent:
+        scopes = kind.occurs(problem.model, arrays, ("",) * len(arrays.gravity))
+        if not any(key is not None for key in scopes[entry.of]):
+            return kind.absent.format(of=entry.of)
     return ""
 
 

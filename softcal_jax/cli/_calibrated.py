@@ -107,10 +107,10 @@ def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, s
 
 def _check_parameters(space: "ParameterSpace") -> None:
     """Raise if a calibrated value belongs to a configuration and not to the robot."""
-    from softcal_jax.fields import SetupParameter
+    from softcal_jax.fields import KINDS, SetupParameter
 
     for entry in space.entries:
-        if isinstance(entry, SetupParameter) and entry.quantity.of_configuration:
+        if isinstance(entry, SetupParameter) and KINDS[entry.kind].of_configuration:
             raise ValueError(
                 f"the calibrated {entry.noun} belongs to the configurations and not to "
                 "the robot, so that its value is not known in the pose that is sought. "

@@ -4,6 +4,16 @@ from softcal_jax.fields._control_points import (
     ControlPointParameters as ControlPointParameters,
     ControlPoints as ControlPoints,
 )
+from softcal_jax.fields._kinds import (
+    KINDS as KINDS,
+    OFFSET as OFFSET,
+    Kind as Kind,
+    Role as Role,
+    Scope as Scope,
+    Uncertain as Uncertain,
+    exactly_known as exactly_known,
+    grounded_bodies as grounded_bodies,
+)
 from softcal_jax.fields._order import Likeness as Likeness, Region as Region
 from softcal_jax.fields._parameters import (
     AbstractEntry as AbstractEntry,
@@ -17,28 +27,11 @@ from softcal_jax.fields._parameters import (
     set_field as set_field,
 )
 from softcal_jax.fields._setup import (
-    QUANTITIES as QUANTITIES,
-    Poses as Poses,
-    Role as Role,
-    Scope as Scope,
+    FUNCTIONS as FUNCTIONS,
     SetupError as SetupError,
     SetupParameter as SetupParameter,
-    grounded_bodies as grounded_bodies,
-)
-from softcal_jax.fields._setup_parameters import (
-    OFFSET as OFFSET,
-    Uncertain as Uncertain,
-    actuator_factor as actuator_factor,
-    clamp_stiffness as clamp_stiffness,
+    __getattr__ as __getattr__,
     command as command,
-    exactly_known as exactly_known,
-    friction as friction,
-    gravity_tilt as gravity_tilt,
-    load_factor as load_factor,
-    marker_offset as marker_offset,
-    motor_zero as motor_zero,
-    mounting as mounting,
-    recording_offset as recording_offset,
 )
 from softcal_jax.fields._space import (
     Entry as Entry,
@@ -62,3 +55,5 @@ from softcal_jax.fields._start import (
     default_starts as default_starts,
     random_starts as random_starts,
 )
+
+globals().update(FUNCTIONS)

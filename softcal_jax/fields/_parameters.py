@@ -138,7 +138,7 @@ class AbstractEntry(Module):
     """One or several unknowns, and what they set in a model and its configurations.
 
     Sensitivities follow from `apply` by autodiff. A new kind of parameter is declared
-    in `fields._setup_parameters` if it sets an array that the model or the
+    in `KINDS` if it sets an array that the model or the
     configurations already have; otherwise it is a subclass.
     """
 

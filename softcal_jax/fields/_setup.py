@@ -1,23 +1,23 @@
 """Parameters of setup, loads and recordings that are only roughly known (Sec. VII).
 
 If such an error is not a parameter it biases the moduli, and residuals may hide it.
+`KINDS` says which there are.
 """
 
-import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter
-from typing import Any, Literal, NamedTuple
+from inspect import Parameter as Argument, Signature, cleandoc
+from textwrap import fill
+from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module
 from softcal_jax._names import check_known, name_key
-from softcal_jax._typing import Bool, Float, HostArray, is_traced
+from softcal_jax._typing import Float
+from softcal_jax.fields._kinds import KINDS, Kind
 from softcal_jax.fields._parameters import (
     AbstractEntry,
     AbstractError,
@@ -29,169 +29,15 @@ from softcal_jax.fields._parameters import (
 By = Literal["configuration", "recording"]
 _BY: tuple[By, ...] = ("configuration", "recording")
 
-Role = Literal["fitted", "considered", "noise", "none"]
-"""What an unknown is in a calibration, see `unknowns.Unknown`."""
 
-Change = Callable[[Any], Any]
-Put = Callable[[Any, tuple[int, ...], Change], Any]
-
-Scope = tuple[Hashable | None, ...]
-"""For each configuration a key, None where the error cannot occur; configurations with
-the same key have the same error."""
-
-
-class Poses(Module):
-    """Configurations of a model, as arrays on the host, and the recording of each."""
-
-    model: Any
-    arrays: Any
-    recordings: Sequence[str]
-
-
-def each_of(names: Sequence[str], has: Bool[HostArray, "n_c n"]) -> dict[str, Scope]:
-    """Return a scope for each name: one error for all configurations that have it."""
-    return {
-        name: tuple("" if has_it else None for has_it in flags)
-        for name, flags in zip(names, has.T, strict=True)
-        if name
-    }
-
-
-def grounded_bodies(poses: Poses) -> Bool[HostArray, "n_c n_b"]:
-    """Flag bodies that are held, guided or on a motor, or tied to such a body."""
-    mechanism = poses.model.mechanism
-    bodies = mechanism.bodies
-    driven = np.isin(np.arange(bodies.n_bodies), mechanism.actuators.motor_body)
-    return (poses.arrays.bodies.is_guided | driven)[:, bodies.owner]
-
-
-class Quantity(NamedTuple):
-    """An array of the model, or of its configurations, whose entries can be unknown.
-
-    Attributes:
-        title: Name of an unknown, with {of} and {axis} filled in.
-        put: Function that changes an entry, of (owner, index, function of the old
-            value). The owner is the model or a configuration.
-        noun: What its first axis enumerates, like "motor"; empty if nothing.
-        names: Names along the first axis, from the owner.
-        components: Names along the last axis; empty for one number.
-        relative: Whether errors are relative to the value, as those of factors are; its
-            parameter then has a log scale.
-        unit: SI unit, for tables.
-        least: Smallest value that it can have at all, in SI units.
-        of_configuration: Whether each configuration has the array, and not the model.
-        uncertain: Field of `Uncertain` with its usual standard deviation, if any.
-        role: What an error of it is where it is not fitted: "considered", part of the
-            "noise" that weighs the data, or "none".
-        occurs: Where such an error can occur, by the name of what it belongs to, like
-            the motor; empty for everywhere.
-        absent: Message if it can occur nowhere, with {of} filled in.
-    """
-
-    title: str
-    put: Put
-    noun: str = ""
-    names: Callable[[Any], Sequence[str]] = lambda _: ()
-    components: tuple[str, ...] = ()
-    relative: bool = False
-    unit: str = ""
-    least: float = -math.inf
-    of_configuration: bool = False
-    uncertain: str = ""
-    role: Role = "considered"
-    occurs: Callable[[Poses], Mapping[str, Scope]] = lambda _: {}
-    absent: str = ""
-
-
-def entry_of(path: str) -> Put:
-    """Make the function that changes an entry of the array with a dotted path."""
-    where = attrgetter(path)
-
-    def put(owner: Any, index: tuple[int, ...], change: Change) -> Any:
-        old = where(owner)
-        if not is_traced(old):
-            # On the host, where nothing is compiled.
-            host = np.array(old)
-            new = change(host[index])
-            if not is_traced(new):
-                host[index] = np.asarray(new)
-                return eqx.tree_at(where, owner, jax.device_put(host))
-        old = jnp.asarray(old)
-        return eqx.tree_at(where, owner, old.at[index].set(change(old[index])))
-
-    return put
-
-
-def actuators_where(
-    which: Callable[[Any], Sequence[bool]],
-) -> Callable[[Any], list[str]]:
-    """Make the function that names all actuators, but "" for those not of a kind."""
-
-    def names(model: Any) -> list[str]:
-        actuators = model.mechanism.actuators
-        both = zip(actuators.names, which(actuators), strict=True)
-        return [name if known else "" for name, known in both]
-
-    return names
-
-
-QUANTITIES: dict[str, Quantity] = {}
-"""Kinds of parameters that set one entry of an array, by name.
-
-`_setup_parameters` declares each beside the function that makes parameters of it.
-"""
-
-
-class AbstractSetupEntry(AbstractEntry):
-    """An entry that changes one of `QUANTITIES`."""
-
-    kind: eqx.AbstractVar[str]
-    of: eqx.AbstractVar[str]
-    axis: eqx.AbstractVar[str]
-
-    @property
-    def quantity(self) -> Quantity:
-        """The quantity of which it sets an entry."""
-        return QUANTITIES[self.kind]
-
-    def check(self, model: Any) -> None:
-        """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
-            self._index(model)
-
-    def _index(self, owner: Any) -> tuple[int, ...]:
-        """Find the index of its entry in the array of its quantity."""
-        quantity, index = self.quantity, ()
-        if quantity.noun:
-            names = list(quantity.names(owner))
-            known = [name for name in names if name]
-            what = f"{quantity.noun} of parameter {self.label!r}"
-            check_known(what, known, self.of)
-            index = (names.index(self.of),)
-        if quantity.components:
-            index += (quantity.components.index(self.axis),)
-        return index
-
-    def _changed(
-        self, model: Any, configuration: Any, change: Change
-    ) -> tuple[Any, Any]:
-        """Change its entry of the array, of the model or of the configuration."""
-        of_configuration = self.quantity.of_configuration
-        owner = configuration if of_configuration else model
-        if owner is None:
-            return model, configuration
-        owner = self.quantity.put(owner, self._index(owner), change)
-        return (model, owner) if of_configuration else (owner, configuration)
-
-
-class SetupParameter(AbstractSetupEntry):
+class SetupParameter(AbstractEntry):
     """One unknown of the setup, the loads or the recordings.
 
     It is calibrated together with the material, to decouple them (paper Sec. VII).
     Functions named like its kinds make it, `motor_zero` for example.
 
     Attributes:
-        kind: One of `QUANTITIES`.
+        kind: One of `KINDS`.
         of: What it belongs to, like the motor; empty where it belongs to nothing.
         unknowns: Name, start, bounds, scaling and prior of the unknown (`field` is
             ignored); one for each name in `each`, if any.
@@ -231,6 +77,10 @@ class SetupParameter(AbstractSetupEntry):
         recording = configuration.recording if self.by == "recording" else None
         return recording or configuration.name
 
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has the motor or the body."""
+        KINDS[self.kind].check(model, self)
+
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set its entry; configurations that it does not belong to keep theirs."""
 
@@ -242,7 +92,7 @@ class SetupParameter(AbstractSetupEntry):
                 old = jnp.where(member == name_key(name), values[parameter.name], old)
             return old
 
-        return self._changed(model, configuration, change)
+        return KINDS[self.kind].changed(model, configuration, self, change)
 
     def renamed(self, points: Names, names: Names) -> "SetupParameter":
         """Return the same unknowns with other names."""
@@ -250,47 +100,7 @@ class SetupParameter(AbstractSetupEntry):
         return replace(self, unknowns=unknowns)
 
 
-def setup_parameters(
-    kind: str,
-    of: str = "",
-    *,
-    limit: float,
-    prior_std: float | None,
-    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
-    each: Sequence[str] = (),
-    by: By = "recording",
-) -> tuple[SetupParameter, ...]:
-    """Make the entries of a quantity, one per component.
-
-    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
-    or 1 for a factor.
-    """
-    quantity = QUANTITIES[kind]
-    axes, log = quantity.components or ("",), quantity.relative
-    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
-    entries = []
-    for axis, middle in zip(axes, middles, strict=True):
-        name = quantity.title.format(of=of, axis=axis)
-        unknowns = [
-            Parameter(
-                own_name,
-                field="",
-                start=middle,
-                lower=max(quantity.least, middle / limit if log else middle - limit),
-                upper=middle * limit if log else middle + limit,
-                scale="log" if log else "linear",
-                S=None if log else limit,
-                unit=quantity.unit,
-                prior_std=prior_std,
-            )
-            for own_name in [f"{name} in {member}" for member in each] or [name]
-        ]
-        where = {"kind": kind, "of": of, "axis": axis}
-        entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
-    return tuple(entries)
-
-
-class SetupError(AbstractError, AbstractSetupEntry):
+class SetupError(AbstractError):
     """An error of the setup, the loads or a recording, added to its present value.
 
     The error of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
@@ -300,8 +110,144 @@ class SetupError(AbstractError, AbstractSetupEntry):
     of: str = eqx.field(static=True, default="")
     axis: str = eqx.field(static=True, default="")
 
+    def check(self, model: Any) -> None:
+        KINDS[self.kind].check(model, self)
+
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to its entry."""
-        error = values[self.name] * self.std
-        change = lambda old: old + error * (old if self.quantity.relative else 1.0)
-        return self._changed(model, configuration, change)
+        error, kind = values[self.name] * self.std, KINDS[self.kind]
+        change = lambda old: old + error * (old if kind.relative else 1.0)
+        return kind.changed(model, configuration, self, change)
+
+
+def setup_parameters(
+    kind: Kind,
+    of: str = "",
+    *,
+    limit: float,
+    prior_std: float | None,
+    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
+    each: Sequence[str] = (),
+    by: By = "recording",
+) -> tuple[SetupParameter, ...]:
+    """Make the entries of a kind, one per component.
+
+    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
+    or 1 for a factor.
+    """
+    axes, log = kind.components or ("",), kind.relative
+    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
+    entries = []
+    for axis, middle in zip(axes, middles, strict=True):
+        name = kind.title.format(of=of, axis=axis)
+        unknowns = [
+            Parameter(
+                own_name,
+                field="",
+                start=middle,
+                lower=max(kind.least, middle / limit if log else middle - limit),
+                upper=middle * limit if log else middle + limit,
+                scale="log" if log else "linear",
+                S=None if log else limit,
+                unit=kind.unit,
+                prior_std=prior_std,
+            )
+            for own_name in [f"{name} in {member}" for member in each] or [name]
+        ]
+        where = {"kind": kind.name, "of": of, "axis": axis}
+        entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
+    return tuple(entries)
+
+
+def _signature(kind: Kind) -> Signature:
+    """List the arguments of the function of a kind."""
+    first, then = Argument.POSITIONAL_OR_KEYWORD, Argument.KEYWORD_ONLY
+    several, none = len(kind.parts) > 1, Argument.empty
+    value = Sequence[float] if kind.components else float
+    arguments = []
+    if kind.noun:
+        of = Argument("of", first, default=kind.unnamed or none, annotation=str)
+        arguments.append(of)
+    if kind.nominal:
+        arguments.append(Argument("nominal", first, annotation=value))
+    for part in kind.parts:
+        usual = {"limit": none if kind.limit is None else kind.limit, "prior_std": none}
+        for name, default in usual.items():
+            default, size = (None if several else default), float | None
+            name = f"{part.prefix}{name}"
+            arguments.append(Argument(name, then, default=default, annotation=size))
+    if kind.each:
+        arguments += [
+            Argument("each", then, default=(), annotation=Sequence[str]),
+            Argument("by", then, default="recording", annotation=By),
+        ]
+    returned = tuple[SetupParameter, ...] if kind.components else SetupParameter
+    return Signature(arguments, return_annotation=returned)
+
+
+def _function_of(kind: Kind) -> Callable[..., Any]:
+    """Make the function that makes parameters of a kind."""
+    signature, several = _signature(kind), len(kind.parts) > 1
+
+    def function(*values: Any, **options: Any) -> Any:
+        try:
+            bound = signature.bind(*values, **options)
+        except TypeError as error:
+            raise TypeError(f"{kind.name}: {error}") from None
+        bound.apply_defaults()
+        given, made = bound.arguments, []
+        common = {k: given[k] for k in ("of", "nominal", "each", "by") if k in given}
+        for part in kind.parts:
+            own = {k: given[part.prefix + k] for k in ("limit", "prior_std")}
+            if own["limit"] is not None:
+                made += setup_parameters(part, **own, **common)
+        if not made:
+            limits = ", ".join(f"{part.prefix}limit" for part in kind.parts)
+            raise ValueError(f"a {kind.name} needs {limits}{' or both' * several}.")
+        return tuple(made) if kind.components else made[0]
+
+    units = " and ".join("-" if q.relative else q.unit or "-" for q in kind.parts)
+    size = "factor, and 1 over the smallest" if kind.relative else "error"
+    size += " per axis" * bool(kind.components)
+    text = [
+        f"`of` is the name of the {kind.noun}." * bool(kind.noun),
+        f"`nominal` is the value without an error [{kind.unit or '-'}]." * kind.nominal,
+        f"`limit` is the largest {size}, and `prior_std` the standard deviation of "
+        f"the prior, None if not known [{units}].",
+        "For `each` and `by` see `SetupParameter`." * kind.each,
+    ]
+    function.__doc__ = f"{cleandoc(kind.words)}\n\n{fill(' '.join(filter(None, text)))}"
+    function.__name__ = function.__qualname__ = kind.name
+    function.__signature__ = signature  # pyright: ignore[reportFunctionMemberAccess]
+    return function
+
+
+FUNCTIONS = {kind.name: _function_of(kind) for kind in KINDS.values() if kind.words}
+"""The functions that make parameters, by kind; `fields` offers each under its name."""
+
+
+def __getattr__(name: str) -> Callable[..., Any]:
+    # For type checkers, which take it for the functions that they cannot see.
+    raise AttributeError(f"module 'softcal_jax.fields' has no attribute {name!r}")
+
+
+def command(
+    actuator: str,
+    start: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+    *,
+    unit: str,
+) -> SetupParameter:
+    """Make what is imposed on an actuator a parameter of each configuration.
+
+    `start` has its value by configuration, and `limits` the smallest and the largest
+    one, in the SI `unit` of its force or displacement. Configurations of one recording
+    share it, under the name of that.
+    """
+    unknowns = [
+        Parameter(
+            f"{actuator} in {name}", "", value, *limits[name], scale="linear", unit=unit
+        )
+        for name, value in start.items()
+    ]
+    return SetupParameter("command", actuator, unknowns, each=tuple(start))

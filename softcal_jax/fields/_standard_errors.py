@@ -23,9 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.fields._kinds import KINDS, Uncertain
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, find_field, kind_of
 from softcal_jax.fields._setup import SetupParameter
-from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
 from softcal_jax.materials import ANGLE, UNREMARKABLE
 
@@ -79,9 +79,10 @@ def check_precision(precision: float) -> None:
 def _unit(entry: AbstractEntry, q: Parameter, size: float, model: Any) -> float:
     """Return the standard error asked for by a precision of 1, in SI units."""
     if isinstance(entry, SetupParameter):
-        if entry.quantity.relative:
+        kind = KINDS[entry.kind]
+        if kind.relative:
             return size
-        usual = entry.quantity.uncertain
+        usual = kind.uncertain
         return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
     known = model is not None and q.field in entry.fields
     kind = kind_of(model, q.field) if known else UNREMARKABLE

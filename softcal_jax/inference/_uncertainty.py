@@ -19,7 +19,7 @@ from scipy.special import chdtrc, ndtr, stdtr
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable_unit, readable_values
-from softcal_jax.fields import QUANTITIES, ParameterSpace, Uncertain
+from softcal_jax.fields import KINDS, ParameterSpace, Uncertain
 from softcal_jax.inference._linear_model import NOISE, LinearModel
 
 UNLIKELY = 0.01
@@ -32,15 +32,7 @@ REMEDIES = {
     NOISE: "measure each pose four times, or with half the noise",
     "locking": "use quadratic tets",
     "refinement": "take a finer mesh",
-    "density": "weigh the body",
-    "gravity": "level the robot",
-    "loads": "weigh the loads",
-    "actuators": "calibrate the sensors of the actuators",
-    "clamp": "measure how deep the clamp grips",
-    "supports": "measure how far the supports give way",
-    "recordings": "register the recordings better",
-    "zeros": "calibrate the zeros of the motors",
-    "mountings": "measure where the bodies are mounted",
+    **{field.name: field.metadata["remedy"] for field in fields(Uncertain)},
 }
 """What helps against a cause; that of the mesh is named by its error."""
 
@@ -313,7 +305,7 @@ def error_budget(
     parts = (linear.correlated, linear.considered)
     errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
     units = {key.name: key.metadata["unit"] for key in fields(Uncertain)}
-    fitted = {q.uncertain: kind for kind, q in QUANTITIES.items()}
+    fitted = {kind.uncertain: name for name, kind in KINDS.items()}
     causes = []
     for name, moved in deviations.items():
         of_cause = tuple(error for cause, error in errors if cause == name)

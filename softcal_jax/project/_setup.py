@@ -1,21 +1,18 @@
 """What else is known only roughly: the kinds of [[setup]], and [uncertain].
 
-To add a kind of [[setup]], which is calibrated beside the material, write one table
-with a key of its own, named like the function of `softcal_jax.fields` that makes it.
+Both are made from `softcal_jax.fields.KINDS`; to add a kind, write a row there.
 """
 
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, create_model, field_validator
+from pydantic import BeforeValidator, Field, create_model
 
 from softcal_jax import fields
-from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._effectors import BodyFrameTable
-from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -73,98 +70,38 @@ class UncertainTable(create_model("UncertainTable", __base__=Table, **_KEYS)):
     """Its keys are the fields of `Uncertain`, whose docstring explains them."""
 
 
-Subjects = dict[str, tuple[Any, ...]]
-"""What an error can belong to, with its nominal value, if any."""
-
-
 class SetupTable(Table):
-    """An error of the setup that is known up to a limit.
+    """An error of the setup that is known up to a limit: a kind of `fields.KINDS`.
 
-    `makes` is the function that makes its parameters, named like the key of the table,
-    from limit, prior, and the name and nominal value of what the error belongs to, in
-    the `section`. `limit` and `prior_std` have the dimension of the quantity, or are
-    plain numbers.
+    Its keys are that of the kind, which says what it belongs to, and the arguments of
+    the function of `fields` that makes its parameters.
     """
 
-    makes: ClassVar[Callable[..., fields.Entry | Sequence[fields.Entry]]]
-    section: ClassVar[str] = "[actuators]"
+    kind: ClassVar[fields.Kind]
 
-    limit: float | None = Field(description='largest error looked for: "3 deg", "2 mm"')
+    limit: float | None = None
     prior_std: float | None = None
-
-    @field_validator("limit", "prior_std", mode="before")
-    @classmethod
-    def _parse(cls, value: Any) -> float:
-        quantity = fields.QUANTITIES[cls.makes.__name__]
-        number = parse_in_si(value, "" if quantity.relative else quantity.unit)
-        if not number > 0.0:
-            raise ValueError(f'got "{value}"; expected more than zero.')
-        return number
 
     @property
     def label(self) -> str:
-        return type(self).makes.__name__
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        """List what such an error can belong to."""
-        raise NotImplementedError
-
-    def known(self, project: WholeFile) -> dict[str, Any]:
-        """Return limit, prior and scope, as arguments of `makes`."""
-        return self.model_dump(exclude={self.label, "each"})
+        return self.kind.name
 
     def build(self, project: WholeFile) -> list[fields.Entry]:
-        known, of = self.known(project), [()]
-        noun, names = fields.QUANTITIES[self.label].noun, getattr(self, self.label)
-        if noun:
-            subjects = self.subjects(project)
-            for name in names:
-                known_name(noun, name, subjects, self.section)
-            of = [(name, *subjects[name]) for name in names]
-        made = [type(self).makes(*subject, **known) for subject in of]
+        kind = self.kind
+        arguments = self.model_dump(exclude={kind.name, "each"})
+        if kind.each:
+            arguments |= _scope(project, vars(self)["each"])
+        of: list[tuple[Any, ...]] = [()]
+        if kind.noun:
+            of = [(name,) for name in getattr(self, kind.name)]
+        if kind.subjects is not None:
+            subjects = {subject[0]: subject for subject in kind.subjects(project)}
+            for (name,) in of:
+                known_name(kind.noun, name, subjects, kind.section)
+            of = [subjects[name] for (name,) in of]
+        made = [fields.FUNCTIONS[kind.name](*subject, **arguments) for subject in of]
         several = ([m] if isinstance(m, fields.Entry) else m for m in made)
         return [entry for entries in several for entry in entries]
-
-
-class MotorZeroTable(SetupTable):
-    makes = fields.motor_zero
-    motor_zero: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        tables = project.actuators.items()
-        return {name: () for name, table in tables if isinstance(table, MotorTable)}
-
-
-class MountingTable(SetupTable):
-    makes = fields.mounting
-    section = "[bodies]"
-    mounting: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        tables = project.bodies.items()
-        return {name: (body.mounting.translation,) for name, body in tables}
-
-
-class FrictionTable(SetupTable):
-    makes = fields.friction
-    friction: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        tables = project.actuators.items()
-        cables = {k: table for k, table in tables if isinstance(table, CableTable)}
-        return {k: (cable.friction,) for k, cable in cables.items() if cable.friction}
-
-
-class MarkerOffsetTable(SetupTable):
-    makes = fields.marker_offset
-    section = "[markers.positions] or [effectors]"
-    marker_offset: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        tables = project.effectors.items()
-        frames = [name for name, table in tables if isinstance(table, BodyFrameTable)]
-        markers = project.markers.positions if project.markers else ()
-        return dict.fromkeys([*markers, *frames], ())
 
 
 Each = Annotated[
@@ -173,89 +110,42 @@ Each = Annotated[
 ]
 
 
-class ScopedTable(SetupTable):
-    """An error that all configurations share, or of which each has its own."""
-
-    each: Each | None = None
-
-    def known(self, project: WholeFile) -> dict[str, Any]:
-        known = super().known(project)
-        fitted = [c for c in project.configurations if c.role == "calibration"]
-        recordings = list(dict.fromkeys(c.recording or c.name for c in fitted))
-        if self.each is None:
-            return known
-        if self.each == "configuration":
-            return known | {"each": [c.name for c in fitted], "by": "configuration"}
-        names = recordings if self.each == "recording" else self.each
-        for name in names:
-            known_name("recording", name, recordings, "[[configurations]]")
-        return known | {"each": names}
+def _scope(project: WholeFile, each: Each | None) -> dict[str, Any]:
+    """Return the scope of an error that all share, or of which each has its own."""
+    fitted = [c for c in project.configurations if c.role == "calibration"]
+    if each == "configuration":
+        return {"each": [c.name for c in fitted], "by": "configuration"}
+    recordings = list(dict.fromkeys(c.recording or c.name for c in fitted))
+    names = recordings if each == "recording" else each or ()
+    for name in names:
+        known_name("recording", name, recordings, "[[configurations]]")
+    return {"each": names}
 
 
-class GravityTiltTable(ScopedTable):
-    makes = fields.gravity_tilt
-    gravity_tilt: Literal[True]
+def _table(kind: fields.Kind) -> type[SetupTable]:
+    keys: dict[str, Any] = {"each": (Each, None)} if kind.each else {}
+    unnamed = lambda names: kind.unnamed if kind.unnamed and names is True else names
+    names = Annotated[typed.Names, BeforeValidator(unnamed)]
+    keys[kind.name] = (names if kind.noun else Literal[True], ...)
+    for part in kind.parts:
+        unit = "" if part.relative else part.unit
+        size = Annotated[float | None, BeforeValidator(partial(_positive, unit=unit))]
+        usual = None if len(kind.parts) > 1 else kind.limit if kind.relative else ...
+        example = 'largest error looked for: "3 deg", "2 mm"'
+        keys[f"{part.prefix}limit"] = (size, Field(usual, description=example))
+        keys[f"{part.prefix}prior_std"] = (size, None)
+    table = create_model("Setup", __base__=SetupTable, **keys)
+    table.kind = kind
+    return table
 
 
-class RecordingOffsetTable(ScopedTable):
-    """Offset of the frame of a recording, or of the base of a tracker.
-
-    `limit` gives it three parameters of offset, `turn_limit` three of rotation.
-    """
-
-    makes = fields.recording_offset
-    limit: float | None = None
-    recording_offset: Literal[True]
-    turn_limit: typed.Angle | None = None
-    turn_prior_std: typed.Angle | None = None
+def _positive(value: Any, unit: str) -> float:
+    number = parse_in_si(value, unit)
+    if not number > 0.0:
+        raise ValueError(f'got "{value}"; expected more than zero.')
+    return number
 
 
-class FactorTable(ScopedTable):
-    """A factor: `limit` is its largest value, `prior_std` is relative."""
+_TABLES = [_table(fields.KINDS[name]) for name in fields.FUNCTIONS]
 
-    limit: float | None = 2.0
-
-
-class LoadFactorTable(FactorTable):
-    """Factors on dead loads, one parameter each; true for loads without a name."""
-
-    makes = fields.load_factor
-    section = "`loads` of a configuration"
-    load_factor: Annotated[
-        typed.Names,
-        BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names),
-    ]
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        loads = [load for c in project.configurations for load in c.loads]
-        return {load.name: () for load in loads}
-
-
-class ActuatorFactorTable(FactorTable):
-    makes = fields.actuator_factor
-    actuator_factor: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        return dict.fromkeys(project.actuators, ())
-
-
-class ClampStiffnessTable(FactorTable):
-    makes = fields.clamp_stiffness
-    section = "`supports` of a configuration"
-    limit: float | None = 1e3
-    clamp_stiffness: typed.Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        """List the groups of elastic supports, with their nominal stiffness."""
-        nominal: dict[str, tuple[float]] = {}
-        supports = [support for c in project.configurations for support in c.supports]
-        for support in supports:
-            group, stiffness = support.group, support.stiffness
-            if stiffness and nominal.setdefault(group, (stiffness,)) != (stiffness,):
-                raise ValueError(
-                    f"configurations state several stiffnesses for {group!r}; give one."
-                )
-        return dict(nominal)
-
-
-AnySetup = Annotated[SetupTable, Choice(by_keys)]
+AnySetup = Annotated[SetupTable, Choice(lambda value, _: by_keys(value, _TABLES))]

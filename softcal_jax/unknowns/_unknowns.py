@@ -8,7 +8,7 @@ marginalise what differs from one recording to the next, so that poses that disa
 it do not pull at the values.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -23,12 +23,11 @@ from softcal_jax.configurations import (
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (
+    KINDS,
     OFFSET,
-    QUANTITIES,
     AbstractEntry,
     FieldError,
     ParameterSpace,
-    Poses,
     Role,
     Scope,
     SetupError,
@@ -115,11 +114,11 @@ class Setting(NamedTuple):
         """The configurations as arrays."""
         return self.lanes.arrays
 
-    @property
-    def poses(self) -> Poses:
-        """The configurations, as kinds of parameters take them."""
+    def scopes(self, kind: str) -> Mapping[str, Scope]:
+        """Where errors of a kind of `KINDS` can occur, by what they belong to."""
         on_host = jax.tree.map(np.asarray, self.arrays)
-        return Poses(self.model, on_host, recording_names(self.configurations))
+        recordings = recording_names(self.configurations)
+        return KINDS[kind].occurs(self.model, on_host, recordings)
 
 
 def unknowns(setting: Setting) -> tuple[Unknown, ...]:
@@ -129,11 +128,10 @@ def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     scope: which entries are computed is part of a compiled program, so that one serves
     all poses.
     """
-    poses = setting.poses
     return (
-        *_fitted(setting, poses),
+        *_fitted(setting),
         *_of_fields(setting),
-        *_of_setup(setting, poses),
+        *_of_setup(setting),
         _of_clamps(setting),
         _of_mesh(setting),
         *_of_creep(setting),
@@ -146,30 +144,30 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
     return [c.recording or c.name for c in configurations]
 
 
-def _fitted(setting: Setting, poses: Poses) -> Iterator[Unknown]:
+def _fitted(setting: Setting) -> Iterator[Unknown]:
     """List what is fitted, and where it occurs."""
     everywhere: Scope = ("",) * len(setting.configurations)
     for entry in setting.space.entries:
         scope = everywhere
         if isinstance(entry, SetupParameter):
-            scope = entry.quantity.occurs(poses).get(entry.of, everywhere)
+            scope = setting.scopes(entry.kind).get(entry.of, everywhere)
         yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
 
 
-def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
+def _of_setup(setting: Setting) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
-    for kind, quantity in QUANTITIES.items():
-        if quantity.role not in ("considered", "noise"):
+    for name, kind in KINDS.items():
+        if kind.role not in ("considered", "noise"):
             continue
-        cause, role = quantity.uncertain, quantity.role
+        cause, role = kind.uncertain, kind.role
         is_estimated = cause in setting.uncertain.estimated
         std = OFFSET if is_estimated else getattr(setting.uncertain, cause)
-        for of, scope in quantity.occurs(poses).items():
-            for axis in quantity.components or ("",):
-                name = " ".join(word for word in (kind, of, axis) if word)
-                entry = SetupError(name=name, std=std, kind=kind, of=of, axis=axis)
+        for of, scope in setting.scopes(name).items():
+            for axis in kind.components or ("",):
+                label = " ".join(word for word in (name, of, axis) if word)
+                entry = SetupError(label, std, name, of, axis)
                 where = _where(scope, _not_fitted(setting, entry) & (std > 0.0))
-                yield Unknown(cause, name, entry, std, role, where)
+                yield Unknown(cause, label, entry, std, role, where)
 
 
 def _not_fitted(setting: Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
@@ -272,8 +270,8 @@ def held_nodes(
     """Flag the nodes that cannot move, or only with a grounded body."""
     bodies, n_nodes = model.mechanism.bodies, model.mesh.n_nodes
     held = np.array(np.asarray(configurations.fixed)[:, :n_nodes].all(axis=2))
-    poses = Poses(model, jax.tree.map(np.asarray, configurations), ())
-    held[:, bodies.attached] |= grounded_bodies(poses)[:, bodies.body]
+    on_host = jax.tree.map(np.asarray, configurations)
+    held[:, bodies.attached] |= grounded_bodies(model, on_host)[:, bodies.body]
     return held
 
 

@@ -44,7 +44,7 @@ def units():
         for constant in material_table({"law": law}).constants.values()
         if isinstance(constant, Constant)
     ]
-    of_setup = [quantity.unit for quantity in fields.QUANTITIES.values()]
+    of_setup = [kind.unit for kind in fields.KINDS.values()]
     return sorted({*UNITS, *of_laws, *of_setup} - {""})
 
 

@@ -1,7 +1,7 @@
 """Every kind of parameter, by the one function that makes sensitivities of it.
 
 The reference is the equilibrium to rounding at other values: differences of it, whose
-error falls at second order. A kind that `QUANTITIES` has and this file does not fails.
+error falls at second order. A kind that `KINDS` has and this file does not fails.
 """
 
 from functools import cache
@@ -55,7 +55,7 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.fields._setup import QUANTITIES, setup_parameters
+from softcal_jax.fields._setup import KINDS, setup_parameters
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
@@ -126,8 +126,8 @@ SPACE = ParameterSpace(
         motor_zero("m", limit=0.2, **KNOWN),
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
         *mounting("table", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
-        *setup_parameters("body_mass", "base", nominal=0.02, limit=2.0, **KNOWN),
-        *setup_parameters("contact_scale", nominal=0.2, limit=2.0, **KNOWN),
+        *setup_parameters(KINDS["body_mass"], "base", nominal=0.02, limit=2.0, **KNOWN),
+        *setup_parameters(KINDS["contact_scale"], nominal=0.2, limit=2.0, **KNOWN),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
         load_factor("payload", **KNOWN),
@@ -168,7 +168,7 @@ def compliance():
 
 def test_all_kinds_are_here():
     kinds = {e.kind for e in SPACE.entries if isinstance(e, SetupParameter)}
-    assert kinds == set(QUANTITIES)
+    assert kinds == set(KINDS)
 
 
 def test_sensitivities_meet_differences_at_second_order():
