@@ -45,7 +45,7 @@ from softcal_jax.unknowns import (
     unknowns,
 )
 
-(OFFSETS,) = (kind for kind in KINDS.values() if kind.role == "noise")
+(OFFSETS,) = (kind for kind in KINDS.values() if kind.is_noise)
 """The kind of unknown that is part of the noise: an offset of each recording."""
 
 RECORDINGS = OFFSETS.uncertain  # name of the offsets of recordings in the budget

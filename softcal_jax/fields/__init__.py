@@ -8,7 +8,6 @@ from softcal_jax.fields._kinds import (
     KINDS as KINDS,
     OFFSET as OFFSET,
     Kind as Kind,
-    Role as Role,
     Scope as Scope,
     Uncertain as Uncertain,
     exactly_known as exactly_known,

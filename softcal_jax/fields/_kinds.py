@@ -23,9 +23,6 @@ from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_known
 from softcal_jax._typing import Bool, HostArray, is_traced
 
-Role = Literal["fitted", "considered", "noise", "none"]
-"""What an unknown is in a calibration, see `unknowns.Unknown`."""
-
 Scope = tuple[Hashable | None, ...]
 """For each configuration a key, None where the error cannot occur; configurations with
 the same key have the same error."""
@@ -51,13 +48,14 @@ class Kind(NamedTuple):
         least: Smallest value that it can have at all, in SI units.
         put: Changes an entry: from the owner, the index, and a function of the old
             value; by default in the array.
-        role: What an error of it is where it is not fitted.
+        is_noise: Whether an error of it is part of the noise, and not considered.
         uncertain: Key of [uncertain] with its standard deviation there, if any.
         std: The usual one, unless another row or `Uncertain` has it.
         about: What has such errors, for the docstring of `Uncertain`.
         remedy: What helps against them, for the budget.
         occurs: Scopes by the name of what it belongs to: from the model, the arrays of
-            all configurations on the host, and the names of their recordings.
+            all configurations on the host, and the names of their recordings. Without,
+            an error of it counts only where it is fitted.
         absent: Message if it occurs nowhere, with {of} filled in.
         words: Docstring of its function; without, it has no function and no table.
         unnamed: What it belongs to by default, as `true` in a project file.
@@ -81,7 +79,7 @@ class Kind(NamedTuple):
     unit: str = ""
     least: float = -math.inf
     put: Put | None = None
-    role: Role = "considered"
+    is_noise: bool = False
     uncertain: str = ""
     std: float | None = None
     about: str = ""
@@ -292,7 +290,6 @@ _ROWS = (
         names=_actuators(attrgetter("has_friction")),
         put=_put_friction,
         least=0.0,
-        role="none",
         words="Make the coefficient of friction of a cable with friction a parameter.",
         nominal=True,
         subjects=lambda p: (
@@ -309,7 +306,6 @@ _ROWS = (
         names=attrgetter("effectors.movable"),
         components=_XYZ,
         unit="m",
-        role="none",
         uncertain="mountings",  # placed by the same hands
         words="""Make the place of a marker or 6-D sensor on the body three parameters.
 
@@ -346,7 +342,7 @@ _ROWS = (
         "configuration.effectors.base.translation",
         components=_XYZ,
         unit="m",
-        role="noise",
+        is_noise=True,
         uncertain="recordings",
         occurs=lambda m, c, recordings: {"": tuple(recordings)},
         words="""Make the frame of a recording, or of a tracker's base, parameters.
@@ -362,7 +358,6 @@ _ROWS = (
         "configuration.effectors.base.rotation",
         components=_XYZ,
         unit="rad",
-        role="none",
         uncertain="gravity",  # a tracker's base is levelled as well as the robot
         within="recording_offset",
         prefix="turn_",
@@ -410,7 +405,6 @@ _ROWS = (
         "{of}",
         "configuration.actuation.value",
         noun="actuator",
-        role="none",
     ),
     Kind(
         "clamp_stiffness",

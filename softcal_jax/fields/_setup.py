@@ -161,28 +161,27 @@ def setup_parameters(
 
 def _signature(kind: Kind) -> Signature:
     """List the arguments of the function of a kind."""
-    first, then = Argument.POSITIONAL_OR_KEYWORD, Argument.KEYWORD_ONLY
-    several, none = len(kind.parts) > 1, Argument.empty
-    value = Sequence[float] if kind.components else float
-    arguments = []
+    needed, several = Argument.empty, len(kind.parts) > 1
+    arguments: dict[str, tuple[Any, Any]] = {}
     if kind.noun:
-        of = Argument("of", first, default=kind.unnamed or none, annotation=str)
-        arguments.append(of)
+        arguments["of"] = str, kind.unnamed or needed
     if kind.nominal:
-        arguments.append(Argument("nominal", first, annotation=value))
+        arguments["nominal"] = Sequence[float] if kind.components else float, needed
+    by_name = len(arguments)
     for part in kind.parts:
-        usual = {"limit": none if kind.limit is None else kind.limit, "prior_std": none}
-        for name, default in usual.items():
-            default, size = (None if several else default), float | None
-            name = f"{part.prefix}{name}"
-            arguments.append(Argument(name, then, default=default, annotation=size))
+        usual = None if several else needed
+        limit = usual if kind.limit is None else kind.limit
+        arguments[f"{part.prefix}limit"] = float | None, limit
+        arguments[f"{part.prefix}prior_std"] = float | None, usual
     if kind.each:
-        arguments += [
-            Argument("each", then, default=(), annotation=Sequence[str]),
-            Argument("by", then, default="recording", annotation=By),
-        ]
+        arguments |= {"each": (Sequence[str], ()), "by": (By, "recording")}
+    ways = Argument.POSITIONAL_OR_KEYWORD, Argument.KEYWORD_ONLY
+    made = [
+        Argument(name, ways[i >= by_name], annotation=type_of, default=default)
+        for i, (name, (type_of, default)) in enumerate(arguments.items())
+    ]
     returned = tuple[SetupParameter, ...] if kind.components else SetupParameter
-    return Signature(arguments, return_annotation=returned)
+    return Signature(made, return_annotation=returned)
 
 
 def _function_of(kind: Kind) -> Callable[..., Any]:

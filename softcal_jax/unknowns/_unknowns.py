@@ -9,7 +9,7 @@ it do not pull at the values.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -28,7 +28,6 @@ from softcal_jax.fields import (
     AbstractEntry,
     FieldError,
     ParameterSpace,
-    Role,
     Scope,
     SetupError,
     SetupParameter,
@@ -45,6 +44,8 @@ from softcal_jax.unknowns._attachments import FAR_BEYOND, attachments
 
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_row`."""
+
+Role = Literal["fitted", "considered", "noise"]
 
 CREEP = "creep"
 """Name of the share of the motion in the budget."""
@@ -157,11 +158,9 @@ def _fitted(setting: Setting) -> Iterator[Unknown]:
 def _of_setup(setting: Setting) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
     for name, kind in KINDS.items():
-        if kind.role not in ("considered", "noise"):
-            continue
-        cause, role = kind.uncertain, kind.role
-        is_estimated = cause in setting.uncertain.estimated
-        std = OFFSET if is_estimated else getattr(setting.uncertain, cause)
+        cause, role = kind.uncertain, "noise" if kind.is_noise else "considered"
+        stated = vars(setting.uncertain).get(cause, 0.0)
+        std = OFFSET if stated == "estimated" else stated
         for of, scope in setting.scopes(name).items():
             for axis in kind.components or ("",):
                 label = " ".join(word for word in (name, of, axis) if word)
