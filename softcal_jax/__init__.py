@@ -1,9 +1,9 @@
 """Calibrate the finite-element model of a soft robot from a few measured poses.
 
 This module offers what a notebook needs. The rest is in the packages, which follow the
-method step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`,
-`configurations`, `equilibrium`, `sensitivity`, `inference`, `calibration`,
-`identifiability`, `mistakes`, `control`, `designs`, `layouts`.
+method step by step: `mesh`, `materials`, `bodies`, `actuators`, `configurations`,
+`equilibrium`, `fields`, `sensitivity`, `inference`, `calibration`, `identifiability`,
+`mistakes`, `control`, `designs`, `layouts`.
 """
 
 import ast
