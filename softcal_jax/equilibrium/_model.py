@@ -37,8 +37,6 @@ class Model(Module):
         contact_at: Positions in the pattern of the tangents of contact.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
-        thickness: How far the nodes of each surface group, by their names, have been
-            moved out along its normals at rest [m]; None where none has.
         moved: Whether its points are traced ones, see `with_points`.
     """
 
@@ -57,9 +55,6 @@ class Model(Module):
     contact_at: tuple[Int[HostArray, "_ _"], ...]
     reduction: Reduction | None
     solver: AbstractLinearSolver
-    thickness: Float[Array, " n_surfaces"] | None = eqx.field(
-        default=None, kw_only=True
-    )
     formulation: Formulation = eqx.field(static=True)
     moved: bool = eqx.field(static=True, default=False)
 

@@ -21,9 +21,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_known
-from softcal_jax._typing import Array, Bool, Float, HostArray, is_traced
-from softcal_jax.equilibrium import Model, with_points
-from softcal_jax.mesh import TetMesh
+from softcal_jax._typing import Bool, HostArray, is_traced
 
 Scope = tuple[Hashable | None, ...]
 """For each configuration a key, None where the error cannot occur; configurations with
@@ -208,30 +206,6 @@ def _pulled(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
     return each_of(arrays.actuation.names, by_force)
 
 
-def _surfaces(model: Model) -> list[str]:
-    return sorted(model.mesh.surface_groups)
-
-
-def _outward(mesh: TetMesh, surface: str) -> Float[Array, "n_nodes 3"]:
-    """Compute unit normals at the nodes of a surface, zero elsewhere [-]."""
-    faces, x = mesh.surface_groups[surface], jnp.asarray(mesh.points)
-    a, b, c = (x[faces[:, k]] for k in range(3))
-    normals = jnp.zeros(x.shape).at[faces].add(jnp.cross(b - a, c - a)[:, None])
-    size = jnp.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / jnp.where(size > 0.0, size, 1.0)
-
-
-def _put_thickness(model: Model, index: tuple[int, ...], change: Change) -> Model:
-    thickness = model.thickness
-    if thickness is None:
-        thickness = jnp.zeros(len(_surfaces(model)))
-    new = jnp.asarray(change(thickness[index]))
-    outward = _outward(model.mesh, _surfaces(model)[index[0]])
-    model = with_points(model, model.mesh.points + (new - thickness[index]) * outward)
-    where, new = (lambda m: m.thickness), thickness.at[index].set(new)
-    return eqx.tree_at(where, model, new, is_leaf=lambda leaf: leaf is None)
-
-
 def _movable(project: Any) -> Iterator[tuple[str]]:
     frames = [name for name, e in project.effectors.items() if e.type == "frame"]
     markers = project.markers.positions if project.markers else ()
@@ -323,20 +297,6 @@ _ROWS = (
             for k, a in p.actuators.items()
             if a.type == "cable" and a.friction
         ),
-    ),
-    Kind(
-        "thickness_offset",
-        "thickness offset of {of}",
-        "model.thickness",
-        noun="surface group",
-        names=_surfaces,
-        unit="m",
-        put=_put_thickness,
-        uncertain="mountings",
-        words="""Make the offset of a surface along its normals a parameter.
-
-        Its nodes move out of the body, at rest. Loads by area and elastic supports
-        cannot follow them, and raise.""",
     ),
     Kind(
         "marker_offset",

@@ -101,10 +101,6 @@ limit = 0.1
 marker_offset = "tip"
 limit = "2 mm"
 prior_std = "0.5 mm"
-
-[[setup]]
-thickness_offset = ["x_max", "z_max"]
-limit = "1 mm"
 """
 
 
@@ -128,8 +124,6 @@ def test_every_kind_becomes_parameters(tmp_path):
         "stiffness of x_min",
         "friction of tendon",
         *(f"offset {axis} of tip" for axis in "xyz"),
-        "thickness offset of x_max",
-        "thickness offset of z_max",
     ]
     by_name = {q.name: q for e in entries for q in e.parameters}
     np.testing.assert_allclose(by_name["first tilt of gravity"].prior_std, np.pi / 180)
@@ -162,7 +156,6 @@ def test_a_recording_may_be_turned_alone(tmp_path):
         ('friction = "rope"\nlimit = 0.1', "actuator with friction .rope."),
         ('actuator_factor = "rope"', "no actuator .rope."),
         ("recording_offset = true", "needs limit.* turn_limit"),
-        ('thickness_offset = "z_mix"\nlimit = "1 mm"', "surface group .* mean 'z_m"),
         ('marker_offset = "top"\nlimit = "1 mm"', "no marker or 6-D sensor .top.* tip"),
     ],
 )
