@@ -1,7 +1,7 @@
 """What considered errors do to the rows of a calibration."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -48,10 +48,9 @@ def considered_errors(
     states = [*enumerate(zip(arrays, displacements, strict=True))]
     for (c, *_), u in without_forces:
         states.append((c, (arrays[c].without_forces(), u)))
-    work = _work(setting, z, states)
-    errors = work.errors
+    errors, (program, lanes) = _work(setting, z, states)
     columns = np.zeros((len(errors), len(states), weight[0].size))
-    for k, of_state in enumerate(workers.map(work.program, work.lanes)):
+    for k, of_state in enumerate(workers.map(program, lanes)):
         columns[:, k] = np.asarray(of_state).T
     columns, alone = np.split(columns, [len(weight)], axis=1)
     for k in [k for k, error in enumerate(errors) if error.cause == MESH]:
@@ -91,15 +90,7 @@ def compile_considered(
 ) -> None:
     """Compile what `considered_errors` runs, while what comes before it still runs."""
     rest = np.zeros((setting.model.n_points, 3))
-    workers.ahead(lambda: _work(setting, z, [(0, (setting.arrays[0], rest))])[1:])
-
-
-class _Work(NamedTuple):
-    """A program that runs for each state, as if its configuration had every error."""
-
-    errors: tuple[Unknown, ...]
-    program: Program
-    lanes: list[tuple]
+    workers.ahead(lambda: _work(setting, z, [(0, (setting.arrays[0], rest))])[1])
 
 
 def _work(
@@ -108,7 +99,8 @@ def _work(
     states: Sequence[
         tuple[int, tuple[ConfigurationArrays, Float[HostArray, "n_points 3"]]]
     ],
-) -> _Work:
+) -> tuple[tuple[Unknown, ...], tuple[Program, list[tuple]]]:
+    """Return errors, and what runs as if the configuration of each state had all."""
     considered = [u for u in unknowns(setting) if u.role == "considered"]
     errors = tuple(u for u in considered if u.happens or u.row is None)
     if not any(error.happens for error in errors):
@@ -128,7 +120,7 @@ def _work(
         for c, (lane, u) in (states if some else ())
     ]
     shared = setting.model, setting.space.numbered, space, rows
-    return _Work(errors, Program(_of_pose, *shared), lanes)
+    return errors, (Program(_of_pose, *shared), lanes)
 
 
 @eqx.filter_jit
