@@ -81,7 +81,7 @@ class Kind(NamedTuple):
     put: Put | None = None
     is_noise: bool = False
     uncertain: str = ""
-    std: float | None = None
+    std: float = math.nan
     about: str = ""
     remedy: str = ""
     occurs: Callable[[Any, Any, Sequence[str]], Mapping[str, Scope]] = lambda *_: {}
@@ -167,15 +167,10 @@ def grounded_bodies(model: Any, arrays: Any) -> Bool[HostArray, "n_c n_b"]:
     return (arrays.bodies.is_guided | driven)[:, bodies.owner]
 
 
-def _actuators(which: Callable[[Any], Iterable[bool]]) -> Callable[[Any], list[str]]:
-    """Make the function that names all actuators, but "" for those not of a kind."""
-
-    def names(model: Any) -> list[str]:
-        actuators = model.mechanism.actuators
-        both = zip(actuators.names, which(actuators), strict=True)
-        return [name if known else "" for name, known in both]
-
-    return names
+def _actuators(model: Any, which: Iterable[bool]) -> list[str]:
+    """Name all actuators, but "" for those not of a kind."""
+    both = zip(model.mechanism.actuators.names, which, strict=True)
+    return [name if known else "" for name, known in both]
 
 
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
@@ -185,7 +180,7 @@ def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
 
 
 _bodies = attrgetter("mechanism.bodies.names")
-_motors = _actuators(lambda a: [body >= 0 for body in a.motor_body])
+_motors = lambda m: _actuators(m, [b >= 0 for b in m.mechanism.actuators.motor_body])
 
 
 def _heavy_bodies(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
@@ -287,7 +282,7 @@ _ROWS = (
         "friction of {of}",
         "model.mechanism.actuators",
         noun="actuator with friction",
-        names=_actuators(attrgetter("has_friction")),
+        names=lambda m: _actuators(m, m.mechanism.actuators.has_friction),
         put=_put_friction,
         least=0.0,
         words="Make the coefficient of friction of a cable with friction a parameter.",
@@ -344,6 +339,11 @@ _ROWS = (
         unit="m",
         is_noise=True,
         uncertain="recordings",
+        std=OFFSET,
+        about="Offset of the points of a recording, along each axis [m]. Unlike the "
+        "others it belongs to the noise, by which a fit weighs its data. "
+        '"estimated" takes it from how far recordings differ, where there are enough.',
+        remedy="register the recordings better",
         occurs=lambda m, c, recordings: {"": tuple(recordings)},
         words="""Make the frame of a recording, or of a tracker's base, parameters.
 
@@ -431,26 +431,27 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Kinds of unknowns that set one entry of an array, by name."""
 
 
-def _std(usual: Any, unit: str = "", remedy: str = "") -> Any:
+def _std(usual: float, unit: str = "", remedy: str = "") -> Any:
     """Make a field whose key in [uncertain] has an SI unit, "%", or none."""
     return eqx.field(default=usual, metadata={"unit": unit, "remedy": remedy})
 
 
-_WITH_STD = {kind.uncertain: kind for kind in _ROWS if kind.std is not None}
+_WITH_STD = {kind.uncertain: kind for kind in _ROWS if not math.isnan(kind.std)}
 
 
-def _fields_of_kinds() -> Any:
+def _stds_of_kinds() -> Any:
     """Make a class whose fields are the standard deviations of `KINDS`."""
-    content: dict[str, Any] = {"__annotations__": dict.fromkeys(_WITH_STD, float)}
+    types_of: dict[str, Any] = {}
+    content = {"__annotations__": types_of}
     for key, kind in _WITH_STD.items():
-        unit = "%" if kind.relative else kind.unit
-        content[key] = _std(kind.std, unit, kind.remedy)
+        types_of[key] = float | Literal["estimated"] if kind.is_noise else float
+        content[key] = _std(kind.std, "%" if kind.relative else kind.unit, kind.remedy)
     return types.new_class(
         "AbstractUncertain", (Module,), {}, lambda c: c.update(content)
     )
 
 
-class Uncertain(_fields_of_kinds()):
+class Uncertain(_stds_of_kinds()):
     """Standard deviations of what a calibration holds fixed; zero switches one off.
 
     The defaults are those of careful work on a bench. They count where the robot has
@@ -462,9 +463,6 @@ class Uncertain(_fields_of_kinds()):
         density: Density of the body, relative [-]. One error for the whole body.
         clamp: Depth at which a clamp really grips the body, along the normal of its
             faces [m]. One error for all configurations that are held alike.
-        recordings: Offset of the points of a recording, along each axis [m]. Unlike the
-            other fields it belongs to the noise, by which a fit weighs its data.
-            "estimated" takes it from how far recordings differ, where there are enough.
         contact: Error of the cushion on obstacles, in units of its scale, see
             `softcal_jax.contact` [-]. One error for all configurations.
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
@@ -475,16 +473,14 @@ class Uncertain(_fields_of_kinds()):
     nu: float = _std(0.05)
     density: float = _std(0.03, "%", "weigh the body")
     clamp: float = _std(1e-3, "m", "measure how deep the clamp grips")
-    recordings: float | Literal["estimated"] = _std(
-        OFFSET, "m", "register the recordings better"
-    )
     contact: float = _std(1.0)
     mesh: float = _std(1.0)
 
     @property
     def estimated(self) -> tuple[str, ...]:
         """Names of the fields that are not stated, but estimated beside the fit."""
-        return ("recordings",) * (self.recordings == "estimated")
+        of_noise = (kind.uncertain for kind in _ROWS if kind.is_noise)
+        return tuple(key for key in of_noise if getattr(self, key) == "estimated")
 
     def __check_init__(self):
         for name, std in vars(self).items():
@@ -494,15 +490,9 @@ class Uncertain(_fields_of_kinds()):
                 )
 
 
-Uncertain.__doc__ = "\n".join(
-    [
-        cleandoc(Uncertain.__doc__ or ""),
-        *(
-            indent(fill(f"{key}: {kind.about}", 80, subsequent_indent="    "), "    ")
-            for key, kind in _WITH_STD.items()
-        ),
-    ]
-)
+for _key, _kind in _WITH_STD.items():
+    _line = fill(f"{_key}: {_kind.about}", 80, subsequent_indent="    ")
+    Uncertain.__doc__ = f"{cleandoc(str(Uncertain.__doc__))}\n{indent(_line, '    ')}"
 
 
 def exactly_known() -> Uncertain:

@@ -168,10 +168,10 @@ def _signature(kind: Kind) -> Signature:
     if kind.nominal:
         arguments["nominal"] = Sequence[float] if kind.components else float, needed
     by_name = len(arguments)
+    usual = None if several else needed
+    limit = usual if kind.limit is None else kind.limit
     for part in kind.parts:
-        usual = None if several else needed
-        limit = usual if kind.limit is None else kind.limit
-        arguments[f"{part.prefix}limit"] = float | None, limit
+        arguments[f"{part.prefix}limit"] = float | None if several else float, limit
         arguments[f"{part.prefix}prior_std"] = float | None, usual
     if kind.each:
         arguments |= {"each": (Sequence[str], ()), "by": (By, "recording")}

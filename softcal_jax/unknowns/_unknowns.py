@@ -24,7 +24,6 @@ from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (
     KINDS,
-    OFFSET,
     AbstractEntry,
     FieldError,
     ParameterSpace,
@@ -160,7 +159,7 @@ def _of_setup(setting: Setting) -> Iterator[Unknown]:
     for name, kind in KINDS.items():
         cause, role = kind.uncertain, "noise" if kind.is_noise else "considered"
         stated = vars(setting.uncertain).get(cause, 0.0)
-        std = OFFSET if stated == "estimated" else stated
+        std = kind.std if stated == "estimated" else stated
         for of, scope in setting.scopes(name).items():
             for axis in kind.components or ("",):
                 label = " ".join(word for word in (name, of, axis) if word)

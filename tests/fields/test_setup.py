@@ -1,10 +1,14 @@
 """Errors of the setup as parameters: sensitivities, calibration with the material."""
 
+import pydoc
+from dataclasses import fields
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from problems import lane_of
+from wording import says
 
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -26,11 +30,13 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import (
     Parameter,
     ParameterSpace,
+    Uncertain,
     check_parameters,
     gravity_tilt,
     load_factor,
     motor_zero,
     mounting,
+    recording_offset,
 )
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
@@ -127,11 +133,26 @@ def test_bad_input():
         )
     with pytest.raises(ValueError, match=r"'a' .*twice.*`each`"):
         load_factor(prior_std=None, each=["a", "a"])
+    with pytest.raises(ValueError, match=r"recording_offset needs limit, turn_limit"):
+        recording_offset(prior_std=1e-3)
     for make in (gravity_tilt, load_factor):
         with pytest.raises(TypeError, match=r"missing .* 'prior_std'"):
             make()
         with pytest.raises(TypeError, match=r"unexpected .*'nominal'"):
             make(prior_std=0.05, nominal=1.0)
+
+
+def test_help_tells_arguments_units_and_defaults():
+    text = pydoc.plain(pydoc.render_doc(load_factor))
+    assert "load_factor(of: str = 'loads', *, limit: float = 2.0, prior_std: f" in text
+    assert says(" ".join(text.split()), "name of the load", "largest factor ... [-]")
+    text = " ".join(pydoc.plain(pydoc.render_doc(mounting)).split())
+    assert says(text, "nominal ... [m]", "largest error per axis ... [m]")
+
+
+def test_help_lists_all_that_is_uncertain():
+    text = pydoc.plain(pydoc.render_doc(Uncertain))
+    assert all(f"    {field.name}: " in text for field in fields(Uncertain))
 
 
 def test_an_error_of_one_configuration_leaves_all_others():
