@@ -55,4 +55,4 @@ from softcal_jax.fields._start import (
     random_starts as random_starts,
 )
 
-globals().update(FUNCTIONS)
+globals().update(FUNCTIONS)  # `motor_zero` and the like, which rows of KINDS make

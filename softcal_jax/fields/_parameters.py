@@ -137,9 +137,8 @@ Names = Mapping[str, str]
 class AbstractEntry(Module):
     """One or several unknowns, and what they set in a model and its configurations.
 
-    Sensitivities follow from `apply` by autodiff. A new kind of parameter is declared
-    in `KINDS` if it sets an array that the model or the
-    configurations already have; otherwise it is a subclass.
+    Sensitivities follow from `apply` by autodiff. A new kind of parameter is a row of
+    `KINDS` if it sets an entry of an array; otherwise it is a subclass.
     """
 
     @property

@@ -305,7 +305,7 @@ def error_budget(
     parts = (linear.correlated, linear.considered)
     errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
     units = {key.name: key.metadata["unit"] for key in fields(Uncertain)}
-    fitted = {kind.uncertain: name for name, kind in KINDS.items()}
+    fitted = {k.uncertain: k.name for k in reversed(KINDS.values()) if k.words}
     causes = []
     for name, moved in deviations.items():
         of_cause = tuple(error for cause, error in errors if cause == name)

@@ -24,6 +24,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import (
+    FUNCTIONS,
     Parameter,
     Uncertain,
     exactly_known,
@@ -208,6 +209,17 @@ def test_all_causes_are_here():
     """A cause that the budget has and `CHANGES` does not, or the other way round."""
     assert set(deviations()) == set(CHANGES)
     assert {cause.name for cause in fitted().budget.causes} == set(CAUSES)
+
+
+def test_what_would_calibrate_a_cause_along_is_a_key_of_setup():
+    along = {cause.name: cause.fitted for cause in fitted().budget.causes}
+    assert set(along.values()) - {""} <= set(FUNCTIONS)
+    wanted = {
+        "gravity": "gravity_tilt",
+        "mountings": "mounting",
+        "loads": "load_factor",
+    }
+    assert wanted.items() <= along.items()
 
 
 @pytest.mark.parametrize("error", CHANGES)
