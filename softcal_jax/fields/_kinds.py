@@ -325,9 +325,10 @@ _ROWS = (
             "": tuple(tuple(g) if any(g) else None for g in c.gravity)
         },
         absent="no configuration has gravity",
-        words="""Make the direction of gravity two parameters, angles about its normals.
+        words="""Make the direction of gravity two parameters.
 
-        The two axes are defined in `ConfigurationArrays.acceleration`.""",
+        They are angles about two axes normal to it, which are defined in
+        `ConfigurationArrays.acceleration`.""",
         limit=10.0 * DEGREE,
         each=True,
     ),

@@ -186,7 +186,7 @@ def _signature(kind: Kind) -> Signature:
 
 def _function_of(kind: Kind) -> Callable[..., Any]:
     """Make the function that makes parameters of a kind."""
-    signature, several = _signature(kind), len(kind.parts) > 1
+    signature = _signature(kind)
 
     def function(*values: Any, **options: Any) -> Any:
         try:
@@ -198,24 +198,24 @@ def _function_of(kind: Kind) -> Callable[..., Any]:
         common = {k: given[k] for k in ("of", "nominal", "each", "by") if k in given}
         for part in kind.parts:
             own = {k: given[part.prefix + k] for k in ("limit", "prior_std")}
-            if own["limit"] is not None:
+            if own["limit"] is not None or len(kind.parts) == 1:
                 made += setup_parameters(part, **own, **common)
         if not made:
             limits = ", ".join(f"{part.prefix}limit" for part in kind.parts)
-            raise ValueError(f"a {kind.name} needs {limits}{' or both' * several}.")
+            raise ValueError(f"a {kind.name} needs {limits} or both.")
         return tuple(made) if kind.components else made[0]
 
     units = " and ".join("-" if q.relative else q.unit or "-" for q in kind.parts)
     size = "factor, and 1 over the smallest" if kind.relative else "error"
-    size += " per axis" * bool(kind.components)
-    text = [
-        f"`of` is the name of the {kind.noun}." * bool(kind.noun),
-        f"`nominal` is the value without an error [{kind.unit or '-'}]." * kind.nominal,
-        f"`limit` is the largest {size}, and `prior_std` the standard deviation of "
-        f"the prior, None if not known [{units}].",
-        "For `each` and `by` see `SetupParameter`." * kind.each,
-    ]
-    function.__doc__ = f"{cleandoc(kind.words)}\n\n{fill(' '.join(filter(None, text)))}"
+    size = f"{size} per axis" if kind.components else size
+    text = [f"`of` is the name of the {kind.noun}."] if kind.noun else []
+    if kind.nominal:
+        text.append(f"`nominal` is the value without an error [{kind.unit or '-'}].")
+    text.append(f"`limit` is the largest {size}, `prior_std` the standard deviation")
+    text.append(f"of the prior, None if not known [{units}].")
+    if kind.each:
+        text.append("For `each` and `by` see `SetupParameter`.")
+    function.__doc__ = f"{cleandoc(kind.words)}\n\n{fill(' '.join(text))}"
     function.__name__ = function.__qualname__ = kind.name
     function.__signature__ = signature  # pyright: ignore[reportFunctionMemberAccess]
     return function

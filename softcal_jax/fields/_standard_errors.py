@@ -7,9 +7,7 @@ For a precision p, 0.1 by default, the asked standard error is
     angles of axes                                   p rad, 5.7 degrees
     Poisson's ratios                                 p / 2
     friction                                         p, a tenth of a pull per radian
-    zeros of motors, mountings, tilts of gravity,
-    offsets of markers, offsets and turns of a recording
-                                                     10 p times the default `Uncertain`
+    all else of `KINDS`, an angle or a length        10 p times the default `Uncertain`
 
 so that an error of the setup counts as known once its standard error is as small as
 after careful work. Bounds do not enter: they are typed, not measured.

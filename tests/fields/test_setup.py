@@ -147,7 +147,8 @@ def test_help_tells_arguments_units_and_defaults():
     assert "load_factor(of: str = 'loads', *, limit: float = 2.0, prior_std: f" in text
     assert says(" ".join(text.split()), "name of the load", "largest factor ... [-]")
     text = " ".join(pydoc.plain(pydoc.render_doc(mounting)).split())
-    assert says(text, "nominal ... [m]", "largest error per axis ... [m]")
+    assert "`nominal` is the value without an error [m]. `limit` is the larg" in text
+    assert says(text, "error per axis", "standard deviation of the prior ... [m]")
 
 
 def test_help_lists_all_that_is_uncertain():
