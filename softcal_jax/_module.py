@@ -5,6 +5,7 @@ in a readable one. Equinox writes what is neither text, a record nor a few numbe
 """
 
 import dataclasses
+import math
 import re
 import sys
 import textwrap
@@ -28,6 +29,35 @@ _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
 def if_any(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Make a converter of a field that leaves None as it is."""
     return lambda value: None if value is None else convert(value)
+
+
+POSITIVE = (0.0, math.inf)
+
+
+def key(
+    unit: str | None = None,
+    words: str = "",
+    within: tuple[float, float] | None = (-math.inf, math.inf),
+    *,
+    may_vanish: bool = False,
+    **more: Any,
+) -> dict[str, Any]:
+    """Build the metadata of a field: how project files give it.
+
+    Args:
+        unit: SI unit, like "m"; "" for a plain number or a direction; None for what is
+            read as its annotation says.
+        words: What it is, with an example: 'its radius: "5 mm"'.
+        within: Open interval that its value, or the bounds of a parameter, must lie
+            in; None where the class itself says what is allowed.
+        may_vanish: Whether 0 is allowed too.
+        more: Its `key`, if that is not the name of the field; `bare`, the key of an
+            entry of a list that may stand there without its table.
+    """
+    metadata = {"words": words, **more}
+    if unit is not None:
+        metadata |= {"unit": unit, "within": within, "may_vanish": may_vanish}
+    return metadata
 
 
 class Module(eqx.Module):

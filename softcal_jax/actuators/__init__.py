@@ -36,3 +36,13 @@ from softcal_jax.actuators._pressure import (
     enclosed_volumes as enclosed_volumes,
     free_rim_nodes as free_rim_nodes,
 )
+
+ACTUATORS: dict[str, type[AbstractActuator]] = {
+    "cable": Cable,
+    "chamber": Chamber,
+    "surface-pressure": SurfacePressure,
+    "motor": Motor,
+    "point-force": ForceActuator,
+    "surface-force": SurfaceForceActuator,
+}
+"""The actuators, as project files name them."""

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, locate
@@ -102,6 +102,8 @@ def owned(nodes: HostArray, owner: int, *more: HostArray) -> tuple[Array, ...]:
     return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype), *more))
 
 
+SURFACE = key(words='name of a surface group: "z_max"')
+
 OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
 
@@ -110,12 +112,14 @@ class Kind(NamedTuple):
     """Name of a kind of actuator in messages, and its units.
 
     Some have no displacement. lambda_a of a `unilateral` kind must not be negative.
+    What may be `imposed` is in the words of a project file, with an example of each.
     """
 
     noun: str
     force_unit: str
     displacement_unit: str | None
     unilateral: bool = False
+    imposed: str = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     @property
     def force(self) -> str:

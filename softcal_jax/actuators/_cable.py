@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import Module
+from softcal_jax._module import POSITIVE, Module, key
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
@@ -41,7 +41,9 @@ class Guide(Module):
             fixed point, or the name of a rigid body.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    point: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats, metadata=key("m", 'where it is at rest: "(50, 10, 0) mm"')
+    )
     on: str = "mesh"
 
     def __check_init__(self):
@@ -78,11 +80,26 @@ class Cable(AbstractActuator):
             mean of its nodes, which is exact for rigid motions and uniform strains.
     """
 
-    guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
+    guides: tuple[Guide, ...] = eqx.field(
+        converter=_as_guides,
+        metadata=key(
+            words="the points that it runs through, both ends included: "
+            '[{ point = "(0, 10, 0) mm", on = "ground" }, "(50, 10, 0) mm"]',
+            bare="point",
+        ),
+    )
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None
-    max_distance: float | None = None
-    kind: ClassVar[Kind] = Kind("cable", "N", "m", unilateral=True)
+    max_distance: float | None = eqx.field(
+        default=None, metadata=key("m", within=POSITIVE, may_vanish=True)
+    )
+    kind: ClassVar[Kind] = Kind(
+        "cable",
+        "N",
+        "m",
+        unilateral=True,
+        imposed='its tension, like "2 N", or its shortening, like "5 mm"',
+    )
 
     def __check_init__(self):
         if len(self.guides) < 2:

@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import key
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
+    SURFACE,
     AbstractActuator,
     AbstractPotentialCliques,
     ActuatorGeometry,
@@ -18,6 +20,8 @@ from softcal_jax.actuators._actuator import (
 )
 from softcal_jax.bodies import as_floats, three_numbers, unit_vector
 from softcal_jax.mesh import TetMesh, face_shares
+
+DIRECTION = key("", 'direction of a positive force: "-z", or [0, 0, -1]')
 
 
 class ForceActuator(AbstractActuator):
@@ -33,8 +37,12 @@ class ForceActuator(AbstractActuator):
             mesh.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    point: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats, metadata=key("m", 'where it acts: "(50, 10, 0) mm"')
+    )
+    direction: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats, metadata=DIRECTION
+    )
     body: str | None = None
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
 
@@ -62,8 +70,10 @@ class SurfaceForceActuator(AbstractActuator):
         direction: Direction of a positive force, of any length.
     """
 
-    surface: str
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    surface: str = eqx.field(metadata=SURFACE)
+    direction: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats, metadata=DIRECTION
+    )
     kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
 
     def __check_init__(self):
@@ -124,8 +134,15 @@ class Motor(AbstractActuator):
         body: Name of the rigid body.
     """
 
-    body: str
-    kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
+    body: str = eqx.field(
+        metadata=key(words='the rigid body that it turns, with a hinge: "arm"')
+    )
+    kind: ClassVar[Kind] = Kind(
+        "motor",
+        "N m",
+        "rad",
+        imposed='its torque, like "50 N*mm", or its angle, like "30 deg"',
+    )
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[MotorFrames]":
         nodes = rest.frame_nodes(self.body, self.label)

@@ -14,9 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import key
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_values
 from softcal_jax.actuators._actuator import (
+    SURFACE,
     AbstractActuator,
     AbstractCliques,
     AbstractPotentialCliques,
@@ -47,9 +49,16 @@ class Chamber(AbstractActuator):
         seal: Whether to close the openings of the wall.
     """
 
-    surface: str
+    surface: str = eqx.field(
+        metadata=key(words='the surface group of its whole wall: "cavity"')
+    )
     seal: bool = False
-    kind: ClassVar[Kind] = Kind("chamber", "Pa", "m3")
+    kind: ClassVar[Kind] = Kind(
+        "chamber",
+        "Pa",
+        "m3",
+        imposed='its pressure, like "10 kPa", or its growth in volume, like "2 ml"',
+    )
 
     def cliques(
         self, rest: RestState, owner: int
@@ -131,8 +140,10 @@ class SurfacePressure(AbstractActuator):
         surface: Name of a surface group on the boundary of the body.
     """
 
-    surface: str
-    kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
+    surface: str = eqx.field(metadata=SURFACE)
+    kind: ClassVar[Kind] = Kind(
+        "surface pressure", "Pa", None, imposed='its pressure, like "10 kPa"'
+    )
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[PressureFaces]":
         faces = _outward_faces(rest.mesh, self.surface, self.label)

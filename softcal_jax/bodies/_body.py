@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import Module, if_any
+from softcal_jax._module import POSITIVE, Module, if_any, key
 from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.contact import AbstractShape
@@ -63,9 +63,11 @@ class Pose(Module):
         rotation_vector: Axis of the rotation times its angle [rad].
     """
 
-    translation: Float[HostArray, "3"] = eqx.field(converter=as_floats, default=_ZERO)
+    translation: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats, default=_ZERO, metadata=key("m")
+    )
     rotation_vector: Float[HostArray, "3"] = eqx.field(
-        converter=as_floats, default=_ZERO
+        converter=as_floats, default=_ZERO, metadata=key("rad")
     )
 
     def __check_init__(self):
@@ -138,18 +140,24 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(
-        converter=_as_groups, default=()
+        converter=_as_groups, default=(), metadata=key(key="group")
     )
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=optional, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional, default=None, metadata=key("m")
+    )
+    axes: Float[HostArray, "3 3"] | None = eqx.field(
+        converter=optional, default=None, metadata=key("")
+    )
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
-    mass: float | None = None
+    mass: float | None = eqx.field(
+        default=None, metadata=key("kg", within=POSITIVE, may_vanish=True)
+    )
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional, default=None
+        converter=optional, default=None, metadata=key("m")
     )
     shape: AbstractShape | None = None
-    friction: float = 0.0
+    friction: float = eqx.field(default=0.0, metadata=key(""))
 
     def __check_init__(self):
         if not self.where and self.shape is None:

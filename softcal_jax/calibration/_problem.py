@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
@@ -66,11 +66,11 @@ class CalibrationSettings(Module):
             where it leads to no equilibrium.
     """
 
-    tol: float = eqx.field(static=True, default=1e-6)
+    tol: float = eqx.field(static=True, default=1e-6, metadata=key(""))
     max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float = eqx.field(static=True, default=0.3)
-    max_step_bound: float = eqx.field(static=True, default=0.5)
-    damping: float = eqx.field(static=True, default=DAMPING)
+    step_bound: float = eqx.field(static=True, default=0.3, metadata=key(""))
+    max_step_bound: float = eqx.field(static=True, default=0.5, metadata=key(""))
+    damping: float = eqx.field(static=True, default=DAMPING, metadata=key(""))
     least_fall: float = eqx.field(static=True, default=1e-8)
     least_cost: float = eqx.field(static=True, default=0.0)
     adapt: bool = eqx.field(static=True, default=True)

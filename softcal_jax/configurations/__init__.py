@@ -7,6 +7,7 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._beyond import beyond as beyond
 from softcal_jax.configurations._boundary import (
+    LOADS as LOADS,
     AbstractLoad as AbstractLoad,
     EdgeForce as EdgeForce,
     NodalForces as NodalForces,
@@ -35,6 +36,7 @@ from softcal_jax.configurations._effector import (
     rms_distance as rms_distance,
 )
 from softcal_jax.configurations._effectors import (
+    EFFECTORS as EFFECTORS,
     ActuatorDisplacement as ActuatorDisplacement,
     ActuatorForce as ActuatorForce,
     BodyAngle as BodyAngle,

@@ -6,13 +6,17 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax import mesh as meshes
-from softcal_jax._module import Module
+from softcal_jax._module import POSITIVE, Module, key
 from softcal_jax._names import UNNAMED_LOADS, parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._arrays import Springs
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
+
+POINT = key("m", 'where it acts: "(50, 10, 0) mm"')
+SURFACE = key(words='name of a surface group: "z_max"', key="surface")
+FORCE = key("N", 'total force: "(0, 0, -1) N"')
 
 
 class Support(Module):
@@ -26,10 +30,16 @@ class Support(Module):
             clamp: force per area and displacement [N/m3]. Rigid by default.
     """
 
-    where: str | Int[HostArray, " n"]
+    where: str | Int[HostArray, " n"] = eqx.field(
+        metadata=key(words="name of a group of the mesh", key="group")
+    )
     axes: str = "xyz"
-    displacement: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    stiffness: float | None = None
+    displacement: tuple[float, float, float] = eqx.field(
+        default=(0.0, 0.0, 0.0), metadata=key("m")
+    )
+    stiffness: float | None = eqx.field(
+        default=None, metadata=key("N/m3", within=POSITIVE)
+    )
 
     @property
     def name(self) -> str:
@@ -203,8 +213,8 @@ class PointForce(AbstractLoad):
         force: The force [N].
     """
 
-    point: tuple[float, float, float]
-    force: tuple[float, float, float]
+    point: tuple[float, float, float] = eqx.field(metadata=POINT)
+    force: tuple[float, float, float] = eqx.field(metadata=FORCE)
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         point = three_numbers("point", "m", self.point)
@@ -244,8 +254,10 @@ class EdgeForce(AbstractLoad):
         force: Total force [N].
     """
 
-    where: str | Int[HostArray, " n"]
-    force: tuple[float, float, float]
+    where: str | Int[HostArray, " n"] = eqx.field(
+        metadata=key(words="name of the node group of an edge", key="edge")
+    )
+    force: tuple[float, float, float] = eqx.field(metadata=FORCE)
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
@@ -278,8 +290,8 @@ class SurfaceForce(AbstractLoad):
         force: Total force [N].
     """
 
-    where: str
-    force: tuple[float, float, float]
+    where: str = eqx.field(metadata=SURFACE)
+    force: tuple[float, float, float] = eqx.field(metadata=FORCE)
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
@@ -295,12 +307,18 @@ class SurfaceTraction(AbstractLoad):
         traction: Force per reference area [Pa].
     """
 
-    where: str
-    traction: tuple[float, float, float]
+    where: str = eqx.field(metadata=SURFACE)
+    traction: tuple[float, float, float] = eqx.field(
+        metadata=key("Pa", 'force per area: "(0, 0, -1) kPa"')
+    )
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
         return shares[:, None] * three_numbers("traction", "Pa", self.traction)
+
+
+LOADS = PointForce, EdgeForce, SurfaceForce, SurfaceTraction
+"""The loads that project files make; each has a key that no other one has."""
 
 
 def _added(mesh: TetMesh, nodes, forces) -> Float[HostArray, "n_nodes 3"]:

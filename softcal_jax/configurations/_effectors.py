@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from softcal_jax._module import key
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.bodies import (
@@ -61,6 +62,15 @@ def _of_actuator(model, state, of: tuple[str, int]) -> Float[Array, ""]:
     return getattr(state, what)[actuator]
 
 
+_BODY = key(words='name of a rigid body, [bodies.NAME]: "plate"')
+_GROUP = key(words='name of a group of the mesh: "x_min"', key="group")
+_ACTUATOR = key(words='name of an actuator, [actuators.NAME]: "cable"')
+_STD = key(
+    words='standard deviation, with the unit of what is measured: "0.1 mm"',
+    required=True,
+)
+
+
 class BodyFrame(AbstractEffector):
     """Position and orientation of a rigid body: a 6-D sensor on it.
 
@@ -78,11 +88,15 @@ class BodyFrame(AbstractEffector):
     """
 
     name: str
-    body: str
+    body: str = eqx.field(metadata=_BODY)
     measured: Pose | None = None
-    point: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
+    point: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional, default=None, metadata=key("m")
+    )
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
-    std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
+    std_angle: float | Float[HostArray, "3"] = eqx.field(
+        default=Unstated(1e-2), metadata=key("rad", within=None)
+    )
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         bodies = mechanism.bodies
@@ -124,7 +138,7 @@ class Centroid(AbstractEffector):
     """
 
     name: str
-    where: str | Int[HostArray, " n"]
+    where: str | Int[HostArray, " n"] = eqx.field(metadata=_GROUP)
     measured: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     std: float = Unstated(1e-3)
 
@@ -147,7 +161,7 @@ class SupportReaction(AbstractEffector):
     """
 
     name: str
-    where: str | Int[HostArray, " n"]
+    where: str | Int[HostArray, " n"] = eqx.field(metadata=_GROUP)
     measured: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     std: float = Unstated(1e-2)
 
@@ -170,8 +184,12 @@ class ContactForce(AbstractEffector):
     """
 
     name: str
-    body: str
-    axis: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
+    body: str = eqx.field(
+        metadata=key(words='an obstacle, [bodies.NAME] with a shape: "probe"')
+    )
+    axis: Float[HostArray, "3"] | None = eqx.field(
+        converter=optional, default=None, metadata=key("")
+    )
     measured: float | Float[HostArray, "3"] | None = eqx.field(
         converter=lambda value: optional(value) if np.ndim(value) else value,
         default=None,
@@ -214,9 +232,12 @@ class BodyAngle(AbstractScalar):
     """
 
     name: str
-    body: str
-    other: str
-    axis: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    body: str = eqx.field(metadata=_BODY)
+    other: str = eqx.field(metadata=key(words="the rigid body it is measured from"))
+    axis: Float[HostArray, "3"] = eqx.field(
+        converter=as_floats,
+        metadata=key("", 'axis of the angle, fixed on `other`: "z", or [0, 0, 1]'),
+    )
     measured: float | None = None
     std: float = Unstated(1e-2)
 
@@ -238,9 +259,9 @@ class ActuatorDisplacement(AbstractScalar):
     """
 
     name: str
-    actuator: str
+    actuator: str = eqx.field(metadata=_ACTUATOR)
     measured: float | None = None
-    std: float = Unstated(1e-3)
+    std: float = eqx.field(default=Unstated(1e-3), metadata=_STD)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
@@ -258,9 +279,9 @@ class ActuatorForce(AbstractScalar):
     """Force lambda_a of an actuator, in its unit: tension, pressure, torque."""
 
     name: str
-    actuator: str
+    actuator: str = eqx.field(metadata=_ACTUATOR)
     measured: float | None = None
-    std: float = Unstated(1e-2)
+    std: float = eqx.field(default=Unstated(1e-2), metadata=_STD)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
@@ -322,6 +343,19 @@ class Observation(AbstractEffector):
                 f"measured value {n}: give one for all, or one for each."
             )
         return self._row("observation", self.unit, function=self.function)
+
+
+EFFECTORS: dict[str, type[AbstractEffector]] = {
+    "frame": BodyFrame,
+    "centroid": Centroid,
+    "reaction": SupportReaction,
+    "contact-force": ContactForce,
+    "contact-moment": ContactMoment,
+    "angle": BodyAngle,
+    "actuator-displacement": ActuatorDisplacement,
+    "actuator-force": ActuatorForce,
+}
+"""The effectors that project files make, as they call them."""
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:

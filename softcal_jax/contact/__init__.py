@@ -13,6 +13,7 @@ from softcal_jax.contact._contacts import (
     passes_through as passes_through,
 )
 from softcal_jax.contact._shapes import (
+    SHAPES as SHAPES,
     AbstractShape as AbstractShape,
     Ball as Ball,
     Capsule as Capsule,

@@ -9,12 +9,13 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from softcal_jax._module import Module
+from softcal_jax._module import POSITIVE, Module, key
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import vector_length
 
@@ -41,6 +42,10 @@ class AbstractShape(Module):
     @abstractmethod
     def drawn(self, size: float) -> "PolyData":
         """Make its surface to be drawn beside a robot of a size [m]."""
+
+
+RADIUS = key("m", 'its radius: "5 mm"', POSITIVE)
+ROUNDING = key("m", 'radius of its edges: "0.5 mm"', POSITIVE)
 
 
 def _positive(what: str, **lengths: float) -> None:
@@ -77,7 +82,7 @@ class HalfSpace(AbstractShape):
 class Ball(AbstractShape):
     """A sphere about the origin of the frame, with a radius [m]."""
 
-    radius: float
+    radius: float = eqx.field(metadata=RADIUS)
 
     def __check_init__(self):
         _positive("sphere", radius=self.radius)
@@ -104,8 +109,10 @@ class Capsule(AbstractShape):
             origin [m].
     """
 
-    radius: float
-    length: float
+    radius: float = eqx.field(metadata=RADIUS)
+    length: float = eqx.field(
+        metadata=key("m", 'distance of the centres of its ends: "20 mm"', POSITIVE)
+    )
 
     def __check_init__(self):
         _positive("capsule", radius=self.radius, length=self.length)
@@ -132,9 +139,9 @@ class RoundedCylinder(AbstractShape):
         rounding: Radius of its edges [m].
     """
 
-    radius: float
-    length: float
-    rounding: float
+    radius: float = eqx.field(metadata=RADIUS)
+    length: float = eqx.field(metadata=key("m", 'its length: "20 mm"', POSITIVE))
+    rounding: float = eqx.field(metadata=ROUNDING)
 
     def __check_init__(self):
         sizes = {"radius": self.radius, "length": self.length}
@@ -176,8 +183,10 @@ class RoundedBox(AbstractShape):
         rounding: Radius of its edges [m].
     """
 
-    size: tuple[float, float, float]
-    rounding: float
+    size: tuple[float, float, float] = eqx.field(
+        metadata=key("m", 'lengths of its sides: "(20, 20, 10) mm"', POSITIVE)
+    )
+    rounding: float = eqx.field(metadata=ROUNDING)
 
     def __check_init__(self):
         _positive("box", size=min(self.size), rounding=self.rounding)
@@ -204,6 +213,16 @@ def _fits(what: str, rounding: float, *largest: float) -> None:
             f"rounding of a {what} must be at most half of its smallest side "
             f"({min(largest):g} m), got {rounding:g} m."
         )
+
+
+SHAPES: dict[str, type[AbstractShape]] = {
+    "plane": HalfSpace,
+    "sphere": Ball,
+    "cylinder": RoundedCylinder,
+    "capsule": Capsule,
+    "box": RoundedBox,
+}
+"""The shapes that project files make, as they call them."""
 
 
 class DistanceGrid(AbstractShape):

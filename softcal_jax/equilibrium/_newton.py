@@ -8,11 +8,12 @@ minimum of Pi when forces are imposed), by steps of a single `while_loop`.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
@@ -77,10 +78,10 @@ class NewtonSettings(Module):
         max_backtracks: Halvings of a Newton step before it counts as failed.
     """
 
-    rtol: Number = 1e-8
+    rtol: Number = eqx.field(default=1e-8, metadata=key(""))
     max_steps: Count = 200
     max_steps_per_load: Count = 20
-    smallest_load_step: Number = 1e-3
+    smallest_load_step: Number = eqx.field(default=1e-3, metadata=key(""))
     strict_below: Number = 0.01
     max_backtracks: Count = 12
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import key
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -85,8 +86,7 @@ def constant(
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
     if kind is None:
         kind = ANGLE if unit == "rad" else UNREMARKABLE
-    allowed = {"within": within, "may_vanish": may_vanish}
-    return {"unit": unit, "words": words, "kind": kind, **allowed}
+    return key(unit, words, within, may_vanish=may_vanish, kind=kind)
 
 
 POISSON = ConstantKind("nu", most=0.5, locks=0.49, asked=0.5)

@@ -19,6 +19,7 @@ from softcal_jax.mesh._reading import (
 )
 from softcal_jax.mesh._recovery import Recovery as Recovery, recovery as recovery
 from softcal_jax.mesh._selection import (
+    REGIONS as REGIONS,
     Annulus as Annulus,
     Box as Box,
     Cylinder as Cylinder,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._module import Module
+from softcal_jax._module import POSITIVE, Module, key
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable, readable_values
 from softcal_jax.mesh._tet_mesh import TetMesh
@@ -18,6 +18,9 @@ from softcal_jax.mesh._topology import boundary_faces
 
 _ROUNDING = 1e-9
 """Default tolerance [m]: far below any cell, far above the rounding of coordinates."""
+
+
+RADIUS = key("m", 'its radius: "5 mm"', POSITIVE)
 
 
 def _as_vector(vector) -> HostArray:
@@ -59,8 +62,12 @@ class Box(AbstractRegion):
         upper: Largest coordinates [m].
     """
 
-    lower: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    upper: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    lower: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector, metadata=key("m", 'a corner: "(0, 0, 0) mm"', None)
+    )
+    upper: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector, metadata=key("m", 'a corner: "(0, 30, 30) mm"', None)
+    )
     tolerance: float = _ROUNDING
 
     def __check_init__(self):
@@ -86,8 +93,12 @@ class Plane(AbstractRegion):
         normal: Its normal, of any length.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    normal: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    point: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector, metadata=key("m", 'a point on the plane: "(0, 0, 0) mm"')
+    )
+    normal: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector, metadata=key("", 'its direction: "z" or [0, 0, 1]')
+    )
     tolerance: float = _ROUNDING
 
     def __check_init__(self):
@@ -112,8 +123,10 @@ class Sphere(AbstractRegion):
         radius: Its radius [m].
     """
 
-    centre: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    radius: float
+    centre: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector, metadata=key("m", 'its centre: "(0, 0, 0) mm"')
+    )
+    radius: float = eqx.field(metadata=RADIUS)
     tolerance: float = _ROUNDING
 
     def __check_init__(self):
@@ -138,8 +151,14 @@ class AbstractTube(AbstractRegion):
         end: Middle of the other end [m].
     """
 
-    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    start: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector,
+        metadata=key("m", 'the middle of one end: "(0, 0, 0) mm"'),
+    )
+    end: Float[HostArray, "3"] = eqx.field(
+        converter=_as_vector,
+        metadata=key("m", 'the middle of the other: "(10, 0, 0) mm"'),
+    )
 
     @property
     @abc.abstractmethod
@@ -184,8 +203,10 @@ class Annulus(AbstractTube):
         outer: Outer radius [m].
     """
 
-    inner: float
-    outer: float
+    inner: float = eqx.field(
+        metadata=key("m", 'the radius of its hole: "4 mm"', POSITIVE, may_vanish=True)
+    )
+    outer: float = eqx.field(metadata=key("m", 'its outer radius: "6 mm"', POSITIVE))
     tolerance: float = _ROUNDING
 
     @property
@@ -200,12 +221,22 @@ class Cylinder(AbstractTube):
         radius: Its radius [m].
     """
 
-    radius: float
+    radius: float = eqx.field(metadata=RADIUS)
     tolerance: float = _ROUNDING
 
     @property
     def radii(self) -> tuple[float, float]:
         return 0.0, self.radius
+
+
+REGIONS: dict[str, type[AbstractRegion]] = {
+    "box": Box,
+    "plane": Plane,
+    "sphere": Sphere,
+    "cylinder": Cylinder,
+    "annulus": Annulus,
+}
+"""The regions that project files make, as they call them."""
 
 
 def place(point: Float[HostArray, "3"]) -> str:

@@ -1,16 +1,11 @@
-"""Tables of a project file that make configurations, their supports and loads.
-
-To add a load, write one table.
-"""
+"""Tables of a project file that make configurations, their supports and loads."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from softcal_jax import configurations
-from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import LOADS, Configuration, Support
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._design import with_goals
@@ -19,50 +14,25 @@ from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, Measured
 from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
 from softcal_jax.project._setup import ShareOrEstimated
-from softcal_jax.project._table import Choice, Maker, Table, TableOr, WholeFile, by_keys
+from softcal_jax.project._table import (
+    Choice,
+    Maker,
+    Table,
+    TableOr,
+    WholeFile,
+    by_keys,
+    only,
+    table_of,
+)
 
 
-class SupportTable(Maker):
-    makes = configurations.Support
-    group: str = Field(description="name of a group of the mesh")
-    axes: str = "xyz"
-    displacement: typed.Position = (0.0, 0.0, 0.0)
-    stiffness: typed.Stiffness | None = None
+def _load_table(value: Any, _: Any) -> type[Maker]:
+    name = Annotated[str, Field(min_length=1)]
+    return by_keys(value, [table_of(kind, name=name) for kind in LOADS])
 
 
-class LoadTable(Maker):
-    by_name = ("name",)
-    name: str = Field(UNNAMED_LOADS, min_length=1)  # for `load_factor` in [[setup]]
-
-
-TotalForce = Annotated[typed.Force, Field(description='total force: "(0, 0, -1) N"')]
-
-
-class PointForceTable(LoadTable):
-    makes = configurations.PointForce
-    point: typed.Position = Field(description='where it acts: "(50, 10, 0) mm"')
-    force: TotalForce
-
-
-class EdgeForceTable(LoadTable):
-    makes = configurations.EdgeForce
-    edge: str = Field(description="name of the node group of an edge")
-    force: TotalForce
-
-
-class SurfaceForceTable(LoadTable):
-    makes = configurations.SurfaceForce
-    surface: typed.Surface
-    force: TotalForce
-
-
-class SurfaceTractionTable(LoadTable):
-    makes = configurations.SurfaceTraction
-    surface: typed.Surface
-    traction: typed.Traction = Field(description='force per area: "(0, 0, -1) kPa"')
-
-
-AnyLoad = Annotated[LoadTable, Choice(by_keys)]
+SupportTable = Annotated[Maker, only(Support)]
+LoadTable = Annotated[Maker, Choice(_load_table)]
 
 
 class GravityTable(Table):
@@ -78,7 +48,7 @@ class CandidateTable(Table):
         description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
     )
     supports: tuple[SupportTable, ...] = ()
-    loads: tuple[AnyLoad, ...] = ()
+    loads: tuple[LoadTable, ...] = ()
     markers: tuple[str, ...] | None = None
     effectors: tuple[str, ...] | None = None
     actuation: dict[str, Any] = Field(default_factory=dict)
@@ -128,8 +98,8 @@ def build_configuration(
     supports, loads = [], []
     for i, support in enumerate(table.supports, start=1):
         with under(f"supports[{i}]"):
-            mesh.nodes(support.group)  # raises if there is no such group
             supports.append(support.build())
+            mesh.nodes(supports[-1].where)  # raises if there is no such group
     for i, load in enumerate(table.loads, start=1):
         with under(f"loads[{i}]"):
             loads.append(load.build())

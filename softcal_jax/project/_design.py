@@ -12,6 +12,7 @@ from pydantic import Field
 from softcal_jax._module import Module
 from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import Kind
 from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
 from softcal_jax.control import Limits, with_marker_goals
 from softcal_jax.designs import (
@@ -27,7 +28,7 @@ from softcal_jax.designs import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import build_effectors
-from softcal_jax.project._mechanism import ActuatorTable
+from softcal_jax.project._mechanism import imposed_on
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._sensors import WrittenPoseTable
@@ -92,7 +93,8 @@ def build_design(
     for name, text in asked.limits.items():
         with under(f"limits.{name}"):
             known_name("actuator", name, table.actuators, "[actuators]")
-            limits[name] = replace(Limits(), **limited(table.actuators[name], text))
+            kind = table.actuators[name].makes.kind
+            limits[name] = replace(Limits(), **limited(kind, text))
     given = asked.model_fields_set & {"table", "solid_modulus"}
     of_own = asked.foam != "Polyfoam" or "table" in given
     if ("solid_modulus" in given and of_own) or (given and asked.foam == "none"):
@@ -147,12 +149,12 @@ def with_goals(
     return replace(with_marker_goals(configuration, places), effectors=tuple(aimed))
 
 
-def limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float]]:
+def limited(kind: Kind, text: str) -> dict[str, tuple[float, float]]:
     """Parse limits; their unit says whether they are of force or displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
         raise ValueError(f'got {text!r}; expected lowest to highest: "0 N to 5 N".')
-    low, high = map(actuator.imposed, ends)
+    low, high = (imposed_on(kind, end) for end in ends)
     if type(low) is not type(high):
         raise ValueError(
             f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected both in "

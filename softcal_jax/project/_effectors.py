@@ -1,21 +1,16 @@
-"""Tables of a project file that make effectors and their measured values.
-
-To add an effector, write one table.
-"""
+"""Tables of a project file that make effectors and their measured values."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from softcal_jax import configurations
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Mechanism, Unstated
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -33,7 +28,7 @@ from softcal_jax.project._sensors import (
     PoseFileTable,
     WrittenPoseTable,
 )
-from softcal_jax.project._table import Choice, Table, by_type
+from softcal_jax.project._table import Choice, Maker, of_type, table_of
 
 Effectors = dict[str, AbstractEffector]
 
@@ -51,36 +46,20 @@ def _measured(value: Any, kinds: Sequence[Any]) -> Any:
 Measured = Annotated[Any, Choice(_measured)]
 """A pose, or a quantity as text, whose dimension the effector knows."""
 
-Body = Annotated[str, Field(description='name of a rigid body, [bodies.NAME]: "plate"')]
-Group = Annotated[
-    str,
-    Field(
-        description='name of a group of the mesh: "x_min"', serialization_alias="where"
-    ),
-]
 
-
-class EffectorTable(Table):
-    """Something measured beside markers; `std` defaults to that of its class.
-
-    Keys except `type` and `std` are arguments of the class that it `makes`.
-    """
-
-    makes: ClassVar[type[AbstractEffector]]
-
-    std: str | None = None
+class EffectorTable(Maker):
+    """Something measured beside markers, with `std` in the unit that it has there."""
 
     def build(self, name: str, mesh: TetMesh, mechanism: Mechanism) -> AbstractEffector:
         """Build the effector without a measured value, and check that it fits."""
-        others = {"type", "std"}
-        given = self.model_dump(exclude=others, exclude_none=True, by_alias=True)
+        given = self.arguments()
+        std = given.pop("std")
         effector: Any = self.makes(name, **given)
         unit = effector.rows(mesh, mechanism)[0].unit
-        if self.std is None:
+        if not isinstance(std, str):
             return effector
         with under("std"):
-            std = scalar(dimension_of(unit), "positive")(self.std)
-        return replace(effector, std=std)
+            return replace(effector, std=scalar(dimension_of(unit), "positive")(std))
 
     def measured(
         self, effector: Any, value: Any, folder: Path, model: Model
@@ -96,13 +75,10 @@ class EffectorTable(Table):
 
 
 class BodyFrameTable(EffectorTable):
-    makes = BodyFrame
-    type: Literal["frame"]
-    body: Body
-    point: typed.Position | None = None
-    orientation: OrientationTable = Field(OrientationTable(), exclude=True)
-    base: FrameTable = Field(FrameTable(), exclude=True)
-    std_angle: typed.Angle | None = None
+    """A frame with the mounting of its sensor, and the frame of the tracker's base."""
+
+    orientation: OrientationTable = OrientationTable()
+    base: FrameTable = FrameTable()
 
     def measured(
         self, effector: BodyFrame, value: Any, folder: Path, model: Model
@@ -118,9 +94,9 @@ class BodyFrameTable(EffectorTable):
                 '{ file = "tracker.csv" } or { photos = "pose1/*.jpg", ... }.'
             )
         bodies = model.mechanism.bodies
-        rest = bodies.origin[bodies.names.index(self.body)]
-        if self.point is not None:
-            rest = np.array(self.point)
+        rest = effector.point
+        if rest is None:
+            rest = bodies.origin[bodies.names.index(effector.body)]
         pose, covariance = value.motion(folder, self.base.pose, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
@@ -132,61 +108,12 @@ class BodyFrameTable(EffectorTable):
         return replace(effector, measured=pose, std=std, std_angle=std_angle)
 
 
-class CentroidTable(EffectorTable):
-    makes = configurations.Centroid
-    type: Literal["centroid"]
-    group: Group
+def _table(kind: type[AbstractEffector]) -> type[Maker]:
+    base = BodyFrameTable if kind is BodyFrame else EffectorTable
+    return table_of(kind, "name", "measured", base=base, type=str, std=str)
 
 
-class SupportReactionTable(EffectorTable):
-    makes = configurations.SupportReaction
-    type: Literal["reaction"]
-    group: Group
-
-
-class _OnObstacle(EffectorTable):
-    body: str = Field(description='an obstacle, [bodies.NAME] with a shape: "probe"')
-    axis: typed.Direction | None = None
-
-
-class ContactForceTable(_OnObstacle):
-    makes = configurations.ContactForce
-    type: Literal["contact-force"]
-
-
-class ContactMomentTable(_OnObstacle):
-    makes = configurations.ContactMoment
-    type: Literal["contact-moment"]
-
-
-class BodyAngleTable(EffectorTable):
-    makes = configurations.BodyAngle
-    type: Literal["angle"]
-    body: Body
-    other: str = Field(description="the rigid body it is measured from")
-    axis: typed.Direction = Field(
-        description='axis of the angle, fixed on `other`: "z", or [0, 0, 1]'
-    )
-
-
-class _OfActuator(EffectorTable):
-    actuator: str = Field(description='name of an actuator, [actuators.NAME]: "cable"')
-    std: str | None = Field(
-        description='standard deviation, with the unit of what is measured: "0.1 mm"'
-    )
-
-
-class ActuatorDisplacementTable(_OfActuator):
-    makes = configurations.ActuatorDisplacement
-    type: Literal["actuator-displacement"]
-
-
-class ActuatorForceTable(_OfActuator):
-    makes = configurations.ActuatorForce
-    type: Literal["actuator-force"]
-
-
-AnyEffector = Annotated[EffectorTable, Choice(by_type)]
+AnyEffector = Annotated[EffectorTable, of_type(configurations.EFFECTORS, _table)]
 
 
 def build_effectors(

@@ -8,6 +8,7 @@ from typing import Any
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import Limits
 from softcal_jax.project._design import limited, with_goals
+from softcal_jax.project._mechanism import imposed_on
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import read_tables
@@ -53,12 +54,12 @@ def inverse_as_typed(
     for name, text in starts.items():
         with under(f"start of {name!r}"):
             known_name("actuator", name, table.actuators, "[actuators]")
-            actuation[name] = table.actuators[name].imposed(text)
+            actuation[name] = imposed_on(table.actuators[name].makes.kind, text)
     ranges: dict[str, Limits] = {}
     for name, text in limits:
         with under(f"limit of {name!r}"):
             known_name("actuator", name, table.actuators, "[actuators]")
-            limits_of = limited(table.actuators[name], text)
+            limits_of = limited(table.actuators[name].makes.kind, text)
         ranges[name] = replace(ranges.get(name, Limits()), **limits_of)
     return replace(posed, actuation=actuation), ranges
 

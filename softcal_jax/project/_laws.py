@@ -9,11 +9,11 @@ import functools
 import typing
 from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoints, entry_points
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from pydantic import BeforeValidator, Field, create_model
+from pydantic import Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
@@ -29,8 +29,13 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import AnyDirections, Frames, TetData
 from softcal_jax.project._problems import under
-from softcal_jax.project._quantities import Size, dimension_of, scalar
-from softcal_jax.project._table import Table, as_table, wrong_choice, wrong_key
+from softcal_jax.project._table import (
+    Table,
+    as_table,
+    type_of,
+    wrong_choice,
+    wrong_key,
+)
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -39,30 +44,16 @@ _FRAME = "directions"  # key of the formula for the directions of fibres
 
 
 class Constant(NamedTuple):
-    """A constant of a material, as its law declares it.
-
-    Bounds of a parameter lie `within` an open interval; the constant itself may be 0
-    too if it `may_vanish`.
-    """
+    """A constant of a material; bounds of a parameter lie `within` an open interval."""
 
     unit: str
     within: tuple[float, float]
-    may_vanish: bool
 
     @property
     def scale(self) -> Literal["log", "linear"]:
         """Default scale: moduli are positive, so that their steps are ratios."""
         signed = self.within[0] < 0.0
         return "linear" if self.unit in ("", "rad") or signed else "log"
-
-    @property
-    def type(self) -> Any:
-        if not self.unit:
-            return typed.Number
-        size: Size = "not negative" if self.may_vanish else "positive"
-        if self.within[0] < 0.0:
-            size = "finite"
-        return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit), size))]
 
 
 def _constant(metadata: Mapping[str, Any]) -> Constant:
@@ -183,12 +174,12 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
         default = ... if field.default is dataclasses.MISSING else field.default
         if "unit" in field.metadata:
             constants[key] = _constant(field.metadata)
-            kind = constants[key].type
         if aimed and default is ... and field in dataclasses.fields(Fibre):
             default = 0.0
         keys[key] = (kind, Field(default, description=field.metadata.get("words")))
+    others: dict[str, Any] = {k: (keys[k][0], None) for k in constants}
+    others["density"] = (typed.Density, None)
     constants["density"] = _constant(DENSITY)
-    others: dict[str, Any] = {k: (c.type, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
         others[_FRAME] = (AnyDirections, None)
     region = create_model("Region", __base__=_OfLaw, **others)
@@ -250,7 +241,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             more = {key: (field, AnyDirections)}
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
-            more = {key: (field, typed.Flag if hint is bool else hint)}
+            more = {key: (field, type_of(hint, field.metadata))}
             arguments[field.name] = lambda value, key=key: value(key)
         else:
             raise ValueError(

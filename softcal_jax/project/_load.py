@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 from softcal_jax._names import check_unique
 from softcal_jax._process import check_process
-from softcal_jax.calibration import CalibrationSettings, ProjectSource
+from softcal_jax.calibration import ProjectSource
 from softcal_jax.configurations import (
     Configuration,
     build_mechanism,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Posed, build_configuration
@@ -128,13 +128,11 @@ def _built(
     )
     with under("design"):
         asked = build_design(path.parent, table, goals)
-    of_project = {"noise", "starts", "seed", "precision", "intervals"}
     with under("settings"):
-        given = table.settings.model_dump(exclude=of_project, exclude_none=True)
-        settings = CalibrationSettings(**given)
+        settings = table.settings.build()
     with under("newton"):
-        given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
-        newton = NewtonSettings(**given)
+        newton = table.newton.build()
+    of_project = {"noise", "starts", "seed", "precision", "intervals"}
     return Project(
         name=table.name,
         path=path,
@@ -165,7 +163,7 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
         with under(f"bodies.{name}"):
             bodies.append(body.build(name, folder))
             # A tied body needs the other ones, so it is checked below with them.
-            if body.tied_to is None:
+            if bodies[-1].tied_to is None:
                 build_mechanism(mesh, bodies[-1:])
     with under("bodies"):
         build_mechanism(mesh, bodies)

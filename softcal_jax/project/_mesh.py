@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, create_model, model_validator
 
 from softcal_jax import mesh as meshes
 from softcal_jax._typing import Float, HostArray, Int
@@ -14,7 +14,7 @@ from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._table import Choice, Maker, Table, by_keys, by_type
+from softcal_jax.project._table import Choice, Maker, Table, by_keys, of_type, table_of
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
@@ -104,48 +104,7 @@ def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
 MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh_kind)]
 
 
-class BoxTable(Maker):
-    makes = meshes.Box
-    lower: typed.Corner = Field(description='a corner: "(0, 0, 0) mm"')
-    upper: typed.Corner = Field(description='a corner: "(0, 30, 30) mm"')
-
-
-class PlaneTable(Maker):
-    makes = meshes.Plane
-    point: typed.Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
-    normal: typed.Direction = Field(description='its direction: "z" or [0, 0, 1]')
-
-
-class SphereTable(Maker):
-    makes = meshes.Sphere
-    centre: typed.Position = Field(description='its centre: "(0, 0, 0) mm"')
-    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
-
-
-class CylinderTable(Maker):
-    makes = meshes.Cylinder
-    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: typed.Position = Field(description='the middle of the other: "(10, 0, 0) mm"')
-    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
-
-
-class AnnulusTable(Maker):
-    makes = meshes.Annulus
-    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: typed.Position = Field(description='the middle of the other: "(10, 0, 0) mm"')
-    inner: typed.Length = Field(description='the radius of its hole: "4 mm"')
-    outer: typed.PositiveLength = Field(description='its outer radius: "6 mm"')
-
-
-class _SurfaceTable(Table):
-    """Faces that are selected by points."""
-
-    @abstractmethod
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the faces; raise if there are none."""
-
-
-class FaceTable(_SurfaceTable):
+class FaceTable(Table):
     points: tuple[typed.Position, ...] = Field(
         description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
     )
@@ -155,7 +114,7 @@ class FaceTable(_SurfaceTable):
         return np.unique(np.concatenate(faces), axis=0)
 
 
-class ReachableTable(_SurfaceTable):
+class ReachableTable(Table):
     point: typed.Position = Field(description='where it begins: "(0, 5, 0) mm"')
     angle: typed.Angle | None = None
     stop_at: typed.Names = ()
@@ -165,7 +124,7 @@ class ReachableTable(_SurfaceTable):
         return meshes.select_reachable(mesh, np.array(self.point), **options)
 
 
-class InsideTable(_SurfaceTable):
+class InsideTable(Table):
     point: typed.Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
     stop_at: typed.Names = ()
 
@@ -174,14 +133,15 @@ class InsideTable(_SurfaceTable):
         return meshes.select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
 
 
-class GroupTable(Table):
-    """A named part of the mesh: nodes, faces or tets in a shape, or a surface."""
+_REGIONS: dict[str, Any] = {
+    key: (table_of(kind, "tolerance") | None, None)
+    for key, kind in meshes.REGIONS.items()
+}
 
-    box: BoxTable | None = None
-    plane: PlaneTable | None = None
-    sphere: SphereTable | None = None
-    cylinder: CylinderTable | None = None
-    annulus: AnnulusTable | None = None
+
+class GroupTable(create_model("Group", __base__=Table, **_REGIONS)):
+    """A named part of the mesh: nodes, faces or tets in a region, or a surface."""
+
     face: FaceTable | None = None
     reachable: ReachableTable | None = None
     inside: InsideTable | None = None
@@ -198,19 +158,21 @@ class GroupTable(Table):
                 f"expected exactly one of {', '.join(places)}; got "
                 f"{' and '.join(given) or 'none'}."
             )
-        (place,) = given
         spare = sorted(options & self.model_fields_set)
-        if spare and isinstance(getattr(self, place), _SurfaceTable):
-            raise ValueError(f"{place} finds faces: leave {' and '.join(spare)} out.")
+        if spare and given[0] not in meshes.REGIONS:
+            raise ValueError(
+                f"{given[0]} finds faces: leave {' and '.join(spare)} out."
+            )
         return self
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
         """Add the group to the mesh; raise if nothing is there or the name is taken."""
-        (place,) = (part for _, part in self if isinstance(part, Maker | _SurfaceTable))
-        if isinstance(place, _SurfaceTable):
-            return mesh.with_surface_group(name, place.faces(mesh))
+        surface = self.face or self.reachable or self.inside
+        if surface is not None:
+            return mesh.with_surface_group(name, surface.faces(mesh))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
+        place = next(part for _, part in self if isinstance(part, Maker))
         region = place.build(tolerance=rounding)
         if self.of == "nodes":
             return mesh.with_node_group(name, meshes.select_nodes(mesh, region))
@@ -230,38 +192,29 @@ Frames = Float[HostArray, "n 3 3"]
 
 
 class AlongTable(Table):
-    type: Literal["along"]
+    type: str
     axis: typed.Direction = Field(description='where fibres point: "z" or [0, 0, 1]')
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
 
 
-class _AroundTable(Table):
+class AroundTable(Table):
+    """Fibres around an axis: hoops, or a helix at the angle `theta` from it."""
+
     axis: typed.Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
     through: typed.Position = (0.0, 0.0, 0.0)
+    type: str
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        return frames_around(mesh.centroids[tets], self.axis, self.through)
-
-
-class HelixTable(_AroundTable):
-    """Fibres around an axis, at the angle `theta` from it."""
-
-    type: Literal["helix"]
-
-
-class HoopTable(_AroundTable):
-    type: Literal["hoop"]
-
-    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        return super().frames(mesh, tets, data)[:, [2, 1, 0]]
+        frames = frames_around(mesh.centroids[tets], self.axis, self.through)
+        return frames[:, [2, 1, 0]] if self.type == "hoop" else frames
 
 
 class CellsTable(Table):
     """Fibres from an array of the mesh file, with a vector for each tet."""
 
-    type: Literal["cells"]
+    type: str
     array: str = Field(description='name of a cell array of the mesh file: "fibre"')
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
@@ -274,6 +227,10 @@ class CellsTable(Table):
         return frames_along(vectors[tets])
 
 
-AnyDirections = Annotated[
-    AlongTable | HoopTable | HelixTable | CellsTable, Choice(by_type)
-]
+DIRECTIONS: dict[str, type[Table]] = {
+    "along": AlongTable,
+    "hoop": AroundTable,
+    "helix": AroundTable,
+    "cells": CellsTable,
+}
+AnyDirections = Annotated[Any, of_type(DIRECTIONS)]

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field, Strict
+from pydantic import BeforeValidator, Strict
 
 from softcal_jax._names import suggestion
 from softcal_jax._text import shortened
@@ -222,15 +222,10 @@ Density = Annotated[float, BeforeValidator(scalar(DENSITY, "not negative"))]
 Modulus = Annotated[float, BeforeValidator(scalar(PRESSURE, "positive"))]
 Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
 Time = Annotated[float, BeforeValidator(scalar(TIME))]
-Mass = Annotated[float, BeforeValidator(scalar(MASS, "not negative"))]
-Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING, "positive"))]
 AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
 Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
-Corner = Annotated[Triple, BeforeValidator(vector(LENGTH, "any"))]
 Extent = Annotated[Triple, BeforeValidator(vector(LENGTH, "positive"))]
 Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
-Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
-Traction = Annotated[Triple, BeforeValidator(vector(PRESSURE))]
 RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
 Direction = Annotated[Triple, BeforeValidator(parse_direction)]
 
@@ -239,5 +234,3 @@ Names = Annotated[
     BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
 ]
 """One name, or a list of them."""
-
-Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]

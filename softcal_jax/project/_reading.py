@@ -17,7 +17,8 @@ from pydantic import BaseModel, Field, ValidationError, create_model, field_vali
 
 from softcal_jax._files import check_file
 from softcal_jax._text import check_characters, escaped
-from softcal_jax.calibration import LEVEL, check_level
+from softcal_jax.calibration import LEVEL, CalibrationSettings, check_level
+from softcal_jax.equilibrium import NewtonSettings
 from softcal_jax.fields import PRECISION, check_starts
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._design import DesignTable
@@ -38,32 +39,26 @@ from softcal_jax.project._problems import (
     known_here,
     one_by_one,
 )
-from softcal_jax.project._quantities import Flag, Integer, Number, recognised
+from softcal_jax.project._quantities import Integer, Number, recognised
 from softcal_jax.project._setup import AnySetup, UncertainTable
-from softcal_jax.project._table import Choice, Table
+from softcal_jax.project._table import Choice, Table, table_of
 
 Keys = tuple[str | int, ...]
 
 T = TypeVar("T", bound=BaseModel)
 
 
-class SettingsTable(Table):
-    """Settings of the calibration; missing ones keep their defaults.
+class SettingsTable(table_of(CalibrationSettings, "least_fall", "least_cost")):
+    """Settings of the calibration.
 
     Without `starts`, `default_starts` chooses; `intervals = 0` computes no intervals.
     """
 
     noise: Literal["estimated", "stated"] = "estimated"
-    tol: Number | None = None
-    max_steps: Integer | None = None
-    step_bound: Number | None = None
-    max_step_bound: Number | None = None
-    damping: Number | None = None
     starts: Integer | None = None
     seed: Annotated[Integer, Field(ge=0)] = 0
     intervals: Number | None = LEVEL
     precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
-    adapt: Flag | None = None
 
     @field_validator("intervals")
     @classmethod
@@ -80,13 +75,9 @@ class SettingsTable(Table):
         return value
 
 
-class NewtonTable(Table):
+class NewtonTable(table_of(NewtonSettings, "strict_below", "max_backtracks")):
     """Settings of the equilibrium, with the `solver` of `build_model`."""
 
-    rtol: Number | None = None
-    max_steps: Integer | None = None
-    max_steps_per_load: Integer | None = None
-    smallest_load_step: Number | None = None
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
 

@@ -1,23 +1,39 @@
 """What all tables of a project file share: how they are read, chosen and built."""
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Annotated, Any, ClassVar, TypeVar, get_args
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
+import equinox as eqx
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     TypeAdapter,
     ValidationError,
+    create_model,
     model_validator,
 )
 from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import MOST_PROBLEMS, known_here, one_of
-from softcal_jax.project._quantities import shown
+from softcal_jax.project._quantities import Size, dimension_of, shown
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -64,26 +80,109 @@ def _at(key: str, text: str) -> InitErrorDetails:
 
 
 class Maker(Table):
-    """A table that makes an object; its keys except `type` are the arguments in order.
+    """A table that makes an object, whose class says what the table is for.
 
-    Keys `by_name` are arguments by name instead. The docstring of the class that it
-    `makes` says what the table is for.
+    See `table_of`; `key_of` has the keys by the names of the fields.
     """
 
     makes: ClassVar[type[Any]]
-    by_name: ClassVar[tuple[str, ...]] = ()
+    key_of: ClassVar[Mapping[str, str]]
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments that the table gives, by the names of the fields."""
+        return {name: _built(getattr(self, key)) for name, key in self.key_of.items()}
 
     def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
-        arguments = {key: _built(value) for key, value in self if key != "type"}
-        named = {key: arguments.pop(key) for key in self.by_name}
-        return self.makes(*first, *arguments.values(), **named, **more)
+        return self.makes(*first, **self.arguments() | more)
 
 
 def _built(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(map(_built, value))
     return value.build() if isinstance(value, Maker) else value
+
+
+@functools.cache
+def table_of(
+    kind: type[Any], *given: str, base: type[Maker] = Maker, **by_hand: Any
+) -> type[Maker]:
+    """Make the table of a class from its fields, their types and metadata (`key`).
+
+    Args:
+        kind: The class.
+        given: Fields that the table does not have: whoever builds it gives them.
+        base: Its base, with what files have beside the fields.
+        by_hand: Types of fields that their annotation does not say, and of keys that
+            are no field.
+    """
+    hints, names = get_type_hints(kind), {}
+    own = {field.name for field in dataclasses.fields(kind)}
+    keys: dict[str, Any] = {k: (t, ...) for k, t in by_hand.items() if k not in own}
+    for field in dataclasses.fields(kind):
+        if field.name in given:
+            continue
+        names[field.name] = key = field.metadata.get("key", field.name)
+        annotation = by_hand.get(field.name)
+        if annotation is None:
+            annotation = type_of(hints[field.name], field.metadata)
+        default: Any = {"default": field.default}
+        if field.default_factory is not dataclasses.MISSING:
+            default = {"default_factory": annotation}
+        elif field.default is dataclasses.MISSING or field.metadata.get("required"):
+            default = {}
+        words = field.metadata.get("words") or None
+        keys[key] = annotation, Field(**default, description=words)
+    table = create_model(kind.__name__, __base__=base, **keys)
+    table.makes, table.key_of = kind, names
+    return table
+
+
+def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
+    """Return the type by which a file gives a field: its annotation, with its unit.
+
+    Of a union the first type counts; the others are for Python only.
+    """
+    kind, unit = _first(hint), metadata.get("unit")
+    entry = _first(get_args(kind)[0]) if get_origin(kind) is tuple else None
+    if unit is None:
+        if entry is str:
+            return typed.Names
+        if entry is not None:
+            return tuple[_entry(entry, metadata.get("bare")), ...]
+        if isinstance(kind, type) and issubclass(kind, eqx.Module):
+            return table_of(kind)
+        return {bool: typed.Flag, int: typed.Integer}.get(kind, kind)
+    shape = "3" if entry is float else getattr(kind, "dim_str", "")
+    if not unit:
+        axes = {"3": typed.Direction, "3 3": tuple[(typed.Direction,) * 3]}
+        return axes.get(shape, typed.Number)
+    size = _size(metadata)
+    if shape == "3":
+        parse = typed.vector(dimension_of(unit), size)
+        return Annotated[typed.Triple, BeforeValidator(parse)]
+    return Annotated[float, BeforeValidator(typed.scalar(dimension_of(unit), size))]
+
+
+def _first(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) in (Union, UnionType) else hint
+
+
+def _entry(kind: type[eqx.Module], bare: str | None) -> Any:
+    """Return the type of an entry of a list, which may be the value of a `bare` key."""
+    table = table_of(kind)
+    if bare is None:
+        return table
+    whole = lambda value: value if isinstance(value, dict) else {bare: value}
+    return Annotated[table, BeforeValidator(whole)]
+
+
+def _size(metadata: Mapping[str, Any]) -> Size:
+    if metadata["within"] is None:
+        return "any"
+    if metadata["within"][0] < 0.0:
+        return "finite"
+    return "not negative" if metadata["may_vanish"] else "positive"
 
 
 _adapter = functools.cache(TypeAdapter)
@@ -139,17 +238,28 @@ def wrong_choice(
     return wrong_key(key, f"{got}; expected {one_of(str(value), names)}")
 
 
-def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
-    """Choose the table that has the `type` of the value, for a `Choice`."""
-    tables = {get_args(k.model_fields["type"].annotation)[0]: k for k in kinds}
-    table = as_table(value)
-    chosen = tables.get(str(table.get("type")))
-    if chosen is None:
-        raise wrong_choice("type", table, tables)
-    return chosen
+def only(kind: type[Any]) -> Choice:
+    """Choose the table of a class, whatever the value."""
+    return Choice(lambda *_: table_of(kind))
 
 
-def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+def of_type(
+    kinds: Mapping[str, type[Any]],
+    table: Callable[[type[Any]], type[Table]] = lambda kind: table_of(kind, type=str),
+) -> Choice:
+    """Choose the table of the class that has the `type` of the value."""
+
+    def choose(value: Any, _: Any) -> type[Table]:
+        raw = as_table(value)
+        kind = kinds.get(str(raw.get("type")))
+        if kind is None:
+            raise wrong_choice("type", raw, kinds)
+        return kind if issubclass(kind, Table) else table(kind)
+
+    return Choice(choose)
+
+
+def by_keys(value: Any, kinds: Sequence[type[Any]]) -> type[Any]:
     """Choose the table with the most of its own required keys present, for a `Choice`.
 
     Among equals, the one with all of its keys present is chosen. If several remain, a
