@@ -5,14 +5,13 @@ in a readable one. Equinox writes what is neither text, a record nor a few numbe
 """
 
 import dataclasses
-import math
 import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from inspect import cleandoc
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -31,16 +30,12 @@ def if_any(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda value: None if value is None else convert(value)
 
 
-POSITIVE = (0.0, math.inf)
+Size = Literal["any", "finite", "not negative", "positive"]
+"""What a quantity of a project file may be; every size but "any" is finite."""
 
 
 def key(
-    unit: str | None = None,
-    words: str = "",
-    within: tuple[float, float] | None = (-math.inf, math.inf),
-    *,
-    may_vanish: bool = False,
-    **more: Any,
+    unit: str | None = None, words: str = "", size: Size = "finite", **more: Any
 ) -> dict[str, Any]:
     """Build the metadata of a field: how project files give it.
 
@@ -48,16 +43,13 @@ def key(
         unit: SI unit, like "m"; "" for a plain number or a direction; None for what is
             read as its annotation says.
         words: What it is, with an example: 'its radius: "5 mm"'.
-        within: Open interval that its value, or the bounds of a parameter, must lie
-            in; None where the class itself says what is allowed.
-        may_vanish: Whether 0 is allowed too.
-        more: Its `key`, if that is not the name of the field; `bare`, the key of an
-            entry of a list that may stand there without its table.
+        size: What it may be; "any" where the class itself says what is allowed.
+        more: Its `key`, if that is not the name of the field; whether a file must state
+            it, `required`, though it has a default; `bare`, the key of an entry of a
+            list that may stand there without its table.
     """
-    metadata = {"words": words, **more}
-    if unit is not None:
-        metadata |= {"unit": unit, "within": within, "may_vanish": may_vanish}
-    return metadata
+    quantity = {} if unit is None else {"unit": unit, "size": size}
+    return {"words": words, **quantity, **more}
 
 
 class Module(eqx.Module):

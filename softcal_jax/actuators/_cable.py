@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import POSITIVE, Module, key
+from softcal_jax._module import Module, key
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
@@ -91,7 +91,7 @@ class Cable(AbstractActuator):
     friction: float | None = None
     pulled_from: Literal["first", "last"] | None = None
     max_distance: float | None = eqx.field(
-        default=None, metadata=key("m", within=POSITIVE, may_vanish=True)
+        default=None, metadata=key("m", size="not negative")
     )
     kind: ClassVar[Kind] = Kind(
         "cable",

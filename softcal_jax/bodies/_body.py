@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import POSITIVE, Module, if_any, key
+from softcal_jax._module import Module, if_any, key
 from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.contact import AbstractShape
@@ -151,7 +151,7 @@ class RigidBody(Module):
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float | None = eqx.field(
-        default=None, metadata=key("kg", within=POSITIVE, may_vanish=True)
+        default=None, metadata=key("kg", size="not negative")
     )
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
         converter=optional, default=None, metadata=key("m")

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax import mesh as meshes
-from softcal_jax._module import POSITIVE, Module, key
+from softcal_jax._module import Module, key
 from softcal_jax._names import UNNAMED_LOADS, parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
@@ -38,7 +38,7 @@ class Support(Module):
         default=(0.0, 0.0, 0.0), metadata=key("m")
     )
     stiffness: float | None = eqx.field(
-        default=None, metadata=key("N/m3", within=POSITIVE)
+        default=None, metadata=key("N/m3", size="positive")
     )
 
     @property

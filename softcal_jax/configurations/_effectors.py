@@ -95,7 +95,7 @@ class BodyFrame(AbstractEffector):
     )
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
     std_angle: float | Float[HostArray, "3"] = eqx.field(
-        default=Unstated(1e-2), metadata=key("rad", within=None)
+        default=Unstated(1e-2), metadata=key("rad", size="any")
     )
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key
 from softcal_jax._names import check_unique, parse_axes, suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
@@ -18,6 +18,8 @@ from softcal_jax.configurations._csv_table import coordinates, read_table
 from softcal_jax.configurations._effector import EffectorRow, Unstated
 from softcal_jax.configurations._tracker import TrackerWarning
 from softcal_jax.mesh import TetMesh, locate, volumes
+
+_LENGTH = key("m", size="not negative")
 
 STD = Unstated(1e-3)
 """Standard deviation of the measurement where none is stated [m]."""
@@ -47,8 +49,8 @@ class Markers(Module):
     positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
     std: Float[ArrayLike, "..."] = STD
     axes: str = "xyz"
-    max_distance: float = 0.01
-    base_radius: float = 0.0
+    max_distance: float = eqx.field(default=0.01, metadata=_LENGTH)
+    base_radius: float = eqx.field(default=0.0, metadata=_LENGTH)
 
     def __check_init__(self):
         parse_axes(self.axes)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from softcal_jax._module import POSITIVE, Module, key
+from softcal_jax._module import Module, key
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import vector_length
 
@@ -44,8 +44,8 @@ class AbstractShape(Module):
         """Make its surface to be drawn beside a robot of a size [m]."""
 
 
-RADIUS = key("m", 'its radius: "5 mm"', POSITIVE)
-ROUNDING = key("m", 'radius of its edges: "0.5 mm"', POSITIVE)
+RADIUS = key("m", 'its radius: "5 mm"', "positive")
+ROUNDING = key("m", 'radius of its edges: "0.5 mm"', "positive")
 
 
 def _positive(what: str, **lengths: float) -> None:
@@ -111,7 +111,7 @@ class Capsule(AbstractShape):
 
     radius: float = eqx.field(metadata=RADIUS)
     length: float = eqx.field(
-        metadata=key("m", 'distance of the centres of its ends: "20 mm"', POSITIVE)
+        metadata=key("m", 'distance of the centres of its ends: "20 mm"', "positive")
     )
 
     def __check_init__(self):
@@ -140,7 +140,7 @@ class RoundedCylinder(AbstractShape):
     """
 
     radius: float = eqx.field(metadata=RADIUS)
-    length: float = eqx.field(metadata=key("m", 'its length: "20 mm"', POSITIVE))
+    length: float = eqx.field(metadata=key("m", 'its length: "20 mm"', "positive"))
     rounding: float = eqx.field(metadata=ROUNDING)
 
     def __check_init__(self):
@@ -184,7 +184,7 @@ class RoundedBox(AbstractShape):
     """
 
     size: tuple[float, float, float] = eqx.field(
-        metadata=key("m", 'lengths of its sides: "(20, 20, 10) mm"', POSITIVE)
+        metadata=key("m", 'lengths of its sides: "(20, 20, 10) mm"', "positive")
     )
     rounding: float = eqx.field(metadata=ROUNDING)
 

@@ -86,7 +86,9 @@ def constant(
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
     if kind is None:
         kind = ANGLE if unit == "rad" else UNREMARKABLE
-    return key(unit, words, within, may_vanish=may_vanish, kind=kind)
+    above = "not negative" if may_vanish else "positive"
+    size = "finite" if within[0] < 0.0 else above
+    return key(unit, words, size, kind=kind, within=within)
 
 
 POISSON = ConstantKind("nu", most=0.5, locks=0.49, asked=0.5)
@@ -133,7 +135,7 @@ def check_constants(module: eqx.Module) -> None:
         values = _concrete(getattr(module, field.name))
         if values is None or not (unit or math.isfinite(low)):
             continue
-        may_vanish = field.metadata.get("may_vanish", False)
+        may_vanish = field.metadata.get("size") == "not negative"
         allowed = (values > low) & (values < high) | (values == 0.0) & may_vanish
         bad = values[~allowed]
         if not bad.size:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._module import POSITIVE, Module, key
+from softcal_jax._module import Module, key
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable, readable_values
 from softcal_jax.mesh._tet_mesh import TetMesh
@@ -20,7 +20,7 @@ _ROUNDING = 1e-9
 """Default tolerance [m]: far below any cell, far above the rounding of coordinates."""
 
 
-RADIUS = key("m", 'its radius: "5 mm"', POSITIVE)
+RADIUS = key("m", 'its radius: "5 mm"', "positive")
 
 
 def _as_vector(vector) -> HostArray:
@@ -63,10 +63,10 @@ class Box(AbstractRegion):
     """
 
     lower: Float[HostArray, "3"] = eqx.field(
-        converter=_as_vector, metadata=key("m", 'a corner: "(0, 0, 0) mm"', None)
+        converter=_as_vector, metadata=key("m", 'a corner: "(0, 0, 0) mm"', "any")
     )
     upper: Float[HostArray, "3"] = eqx.field(
-        converter=_as_vector, metadata=key("m", 'a corner: "(0, 30, 30) mm"', None)
+        converter=_as_vector, metadata=key("m", 'a corner: "(0, 30, 30) mm"', "any")
     )
     tolerance: float = _ROUNDING
 
@@ -204,9 +204,9 @@ class Annulus(AbstractTube):
     """
 
     inner: float = eqx.field(
-        metadata=key("m", 'the radius of its hole: "4 mm"', POSITIVE, may_vanish=True)
+        metadata=key("m", 'the radius of its hole: "4 mm"', "not negative")
     )
-    outer: float = eqx.field(metadata=key("m", 'its outer radius: "6 mm"', POSITIVE))
+    outer: float = eqx.field(metadata=key("m", 'its outer radius: "6 mm"', "positive"))
     tolerance: float = _ROUNDING
 
     @property

@@ -27,7 +27,7 @@ from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._sensors import DialectTable, Selection
-from softcal_jax.project._table import Choice, Table, TableOr
+from softcal_jax.project._table import Choice, Table, TableOr, table_of
 
 _KINDS = ("between", "at", "plateau")
 """What a window of time is given by; each has a method of `Recording`."""
@@ -99,16 +99,13 @@ class MarkerEntry(Table):
     std: typed.PositiveLength | None = None
 
 
-class MarkersTable(Table):
+class MarkersTable(table_of(Markers, "names", "positions", "std")):
     """Positions of the markers at rest, in the frame of the mesh."""
 
     positions: dict[str, TableOr[MarkerEntry, typed.Position]] = Field(
         description="names and positions of the markers"
     )
     std: typed.PositiveLength | None = None
-    axes: str = "xyz"
-    max_distance: typed.Length = 0.01
-    base_radius: typed.Length = 0.0
 
     def build(self, names: Sequence[str] | None) -> Markers:
         """Build the named markers, or all if `names` is None."""
@@ -119,12 +116,7 @@ class MarkersTable(Table):
         entries = [self.positions[name] for name in names]
         stds = [getattr(entry, "std", None) or self.std or STD for entry in entries]
         stated = {} if all(std is STD for std in stds) else {"std": np.array(stds)}
-        return Markers(
-            names=names,
-            positions=positions,
-            **stated,
-            **self.model_dump(include={"axes", "max_distance", "base_radius"}),
-        )
+        return super().build(names, positions, **stated)
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
         """Return positions of some markers at rest [m]."""

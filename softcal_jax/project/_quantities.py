@@ -4,10 +4,11 @@ import contextlib
 import math
 import re
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, Strict
 
+from softcal_jax._module import Size
 from softcal_jax._names import suggestion
 from softcal_jax._text import shortened
 from softcal_jax._units import UNITS, is_number
@@ -32,9 +33,6 @@ MASS = Dimension("a mass", "kg", "10 g")
 VOLUME = Dimension("a volume", "m3", "2 ml")
 TORQUE = Dimension("a torque", "N m", "50 N*mm")
 BEDDING = Dimension("a stiffness per area", "N/m3", "1 GPa/m")
-
-Size = Literal["any", "finite", "not negative", "positive"]
-"""What a quantity may be; every size but "any" is finite."""
 
 _DIMENSIONS = LENGTH, VOLUME, ANGLE, FORCE, PRESSURE, TORQUE, DENSITY, BEDDING
 _OF_UNIT = {d.si: d for d in (*_DIMENSIONS, ACCELERATION, TIME, MASS)}

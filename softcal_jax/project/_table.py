@@ -33,7 +33,7 @@ from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import MOST_PROBLEMS, known_here, one_of
-from softcal_jax.project._quantities import Size, dimension_of, shown
+from softcal_jax.project._quantities import dimension_of, shown
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -157,11 +157,11 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
     if not unit:
         axes = {"3": typed.Direction, "3 3": tuple[(typed.Direction,) * 3]}
         return axes.get(shape, typed.Number)
-    size = _size(metadata)
+    result, parser = float, typed.scalar
     if shape == "3":
-        parse = typed.vector(dimension_of(unit), size)
-        return Annotated[typed.Triple, BeforeValidator(parse)]
-    return Annotated[float, BeforeValidator(typed.scalar(dimension_of(unit), size))]
+        result, parser = typed.Triple, typed.vector
+    parse = parser(dimension_of(unit), metadata["size"])
+    return Annotated[result, BeforeValidator(parse)]
 
 
 def _first(hint: Any) -> Any:
@@ -177,24 +177,15 @@ def _entry(kind: type[eqx.Module], bare: str | None) -> Any:
     return Annotated[table, BeforeValidator(whole)]
 
 
-def _size(metadata: Mapping[str, Any]) -> Size:
-    if metadata["within"] is None:
-        return "any"
-    if metadata["within"][0] < 0.0:
-        return "finite"
-    return "not negative" if metadata["may_vanish"] else "positive"
-
-
 _adapter = functools.cache(TypeAdapter)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Mark a union whose member is chosen by a function of the value and the members.
+    """Mark a type that a function of the value, and members of a union, chooses.
 
-    The members of a table are all that derive from it. pydantic's own unions would add
-    the name of the member to the place of an error. The function raises ValueError
-    where no member fits.
+    pydantic's own unions would add the name of the member to the place of an error. The
+    function raises ValueError where none fits.
     """
 
     choose: Callable[[Any, Sequence[Any]], Any]
@@ -202,20 +193,13 @@ class Choice:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        kinds = get_args(source) or _members(source)
+        kinds = get_args(source)
 
         def validate(value: Any, info: Any) -> Any:
             adapter = _adapter(self.choose(value, kinds))
             return adapter.validate_python(value, context=info.context)
 
         return core_schema.with_info_plain_validator_function(validate)
-
-
-def _members(source: Any) -> list[type[Table]]:
-    if not (isinstance(source, type) and issubclass(source, Table)):
-        return []
-    below = [kind for table in source.__subclasses__() for kind in _members(table)]
-    return below or [source]
 
 
 TableOr = Annotated[

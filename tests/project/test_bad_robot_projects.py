@@ -1,9 +1,16 @@
 """Rigid bodies, actuators and effectors that must be refused, with their keys."""
 
+from typing import ClassVar
+
+import equinox as eqx
 import pytest
 from cable_project import FOLDER
+from robot_project import PROJECT
 from wording import says
 
+from softcal_jax._module import key
+from softcal_jax.actuators import ACTUATORS, AbstractActuator, Kind, Motor
+from softcal_jax.configurations import ImposedForce
 from softcal_jax.project import ProjectError, load_project
 
 PLATE = '[bodies.plate]\ngroup = "x_max"'
@@ -295,3 +302,58 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
         "actuators.cable.body: missing ... rigid body",
     ):
         assert says(str(caught.value).split("\n- "), message)
+
+
+class Drum(AbstractActuator):
+    """A motor with a drum, which no project file knows."""
+
+    body: str = eqx.field(metadata=key(words='the body that it turns: "arm"'))
+    radius: float = eqx.field(metadata=key("m", 'its radius: "5 mm"', "positive"))
+    teeth: int | None = None
+    kind: ClassVar[Kind] = Kind("drum", "N m", "rad", imposed='like "1 N*mm"')
+
+    def cliques(self, rest, owner):
+        return Motor(self.label, self.body).cliques(rest, owner)
+
+
+@pytest.fixture
+def with_drum(tmp_path, monkeypatch):
+    """Reads a project with a drum, whose table has some keys."""
+    monkeypatch.setitem(ACTUATORS, "drum", Drum)
+
+    def read(keys):
+        text = PROJECT.replace("[effectors.sensor]", f"{keys}\n\n[effectors.sensor]")
+        text = text.replace('arm = "20 deg"', 'arm = "20 deg", drum = "2 N*mm"')
+        path = tmp_path / "project.toml"
+        path.write_text(text)
+        return load_project(path, solve=False)
+
+    return read
+
+
+DRUM = '[actuators.drum]\ntype = "drum"\n'
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ('body = "arm"', 'radius: missing ... its radius: "5 mm"'),
+        ('body = "arm"\nradius = "5 kPa"', 'radius: "5 kPa" ... a length'),
+        ('body = "arm"\nradius = "0 mm"', "radius: ... above zero"),
+        ('radius = "5 mm"', "body: missing ... turns"),
+        ('body = "arm"\nradius = "5 mm"\nteeth = 2.5', "teeth: got 2.5 ... whole"),
+        ('body = "arm"\nteeth = 2', "radius: missing"),
+        ('radius = "5 mm"\ntooth = 2', "tooth: ... Known ... body, radius, teeth"),
+    ],
+)
+def test_an_actuator_needs_its_class_only(with_drum, keys, message):
+    """Its table, with keys, units and messages, is made from its fields."""
+    with pytest.raises(ProjectError) as caught:
+        with_drum(DRUM + keys)
+    assert says(str(caught.value).split("\n- "), f"actuators.drum.{message}")
+
+
+def test_an_actuator_is_made_from_its_table(with_drum):
+    project = with_drum(f'{DRUM}body = "arm"\nradius = "5 mm"')
+    assert project.model.mechanism.actuators.names[-1] == "drum"
+    assert project.configurations[0].actuation["drum"] == ImposedForce(2e-3)
