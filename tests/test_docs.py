@@ -30,6 +30,7 @@ from from_code import (
 )
 from messages import VALUE, anchor, messages
 from packaging.requirements import Requirement
+from project_keys import PAGE, keys_page, rows as keys_in, sections
 from recorded import MARK, numbers, pages, renewed, written
 from records import committed, goals_of, rows
 from wording import says
@@ -39,7 +40,7 @@ from softcal_jax.control import OUTCOMES
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict
 from softcal_jax.export.result_file import ResultFile
-from softcal_jax.project import load_project
+from softcal_jax.project import Table, load_project
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -481,3 +482,23 @@ def test_the_table_of_result_json_has_every_key():
     below = {key.split(".")[-1] for key in keys if ".markers." in key}
     assert below == set(marker)
     assert keys["history.lambda_p"] == "The QP step [-]."
+
+
+def test_the_page_of_project_files_is_that_of_the_program():
+    """Where it is not, `python docs/_ext/project_keys.py` writes it."""
+    assert PAGE.read_text(encoding="utf-8") == keys_page()
+
+
+def test_the_page_of_project_files_has_every_key():
+    """Of each table that is written by hand, but for those that check no value."""
+    listed = {}
+    for section in sections():
+        for table in section.table.__mro__:
+            listed.setdefault(table, set()).update(row.key for row in keys_in(section))
+    files = (ROOT / "softcal_jax/project").glob("_[a-z]*.py")
+    modules = [importlib.import_module(f"softcal_jax.project.{f.stem}") for f in files]
+    for table in [value for module in modules for value in vars(module).values()]:
+        if isinstance(table, type) and issubclass(table, Table):
+            if table.__name__ not in ("SharedTable", "MeshTables"):
+                unlisted = set(table.model_fields) - listed.get(table, set())
+                assert unlisted <= {"type", "law"}, table

@@ -26,9 +26,11 @@ from softcal_jax.project._table import (
 )
 
 
+_Name = Annotated[str, Field(min_length=1)]
+
+
 def _load_table(value: Any, _: Any) -> type[Maker]:
-    name = Annotated[str, Field(min_length=1)]
-    return by_keys(value, [table_of(kind, name=name) for kind in LOADS])
+    return by_keys(value, [table_of(kind, name=_Name) for kind in LOADS])
 
 
 SupportTable = Annotated[Maker, only(Support)]

@@ -128,7 +128,7 @@ def table_of(
             annotation = type_of(hints[field.name], field.metadata)
         default: Any = {"default": field.default}
         if field.default_factory is not dataclasses.MISSING:
-            default = {"default_factory": annotation}
+            default = {"default_factory": annotation}  # an empty table of a part
         elif field.default is dataclasses.MISSING or field.metadata.get("required"):
             default = {}
         words = field.metadata.get("words") or None
