@@ -25,7 +25,6 @@ from softcal_jax.project._table import (
     table_of,
 )
 
-
 _Name = Annotated[str, Field(min_length=1)]
 
 
