@@ -307,13 +307,13 @@ def _example(table: type[Table], key: str) -> str:
 def _expected(table: type[Table], key: str) -> str:
     """Return the choices of a key, or else what an error says that it expects."""
     kind = table.model_fields[key].annotation
-    parts = [part for part in get_args(kind) if part is not NoneType]
-    choice = parts[0] if len(parts) == 1 else kind  # of a key with and without default
-    if get_origin(choice) is Literal:
-        return " or ".join(map(toml_value, get_args(choice)))
-    if (said := _refused(table, key, True)) != "a list in [ ]":
-        # Some take it as a number, and a flag as it is.
-        return said or _refused(table, key, "?") or "a value"
+    if get_args(kind)[1:] == (NoneType,):
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        return " or ".join(map(toml_value, get_args(kind)))
+    said = (_refused(table, key, value) for value in (True, 2.5, "?"))
+    if (expected := next(filter(None, said), "a value")) != "a list in [ ]":
+        return expected
     named = "" if _refused(table, key, "?") else "a text in quotes, or "
     return f"{named}a list"
 
@@ -342,7 +342,8 @@ def _default(table: type[Table], key: str) -> str:
     expected = _expected(table, key)
     unit = next((d.si for d in _OF_UNIT.values() if d.name in expected), "")
     if type(value) is float:  # those of effectors are in a unit of their own
-        return readable(value, unit) if unit else f"{value:g}"
+        share = f"{100 * value:g} %" if "share" in expected else f"{value:g}"
+        return readable(value, unit) if unit else share
     return f"{value}" if isinstance(value, int) or value == (0.0, 0.0, 0.0) else "-"
 
 
