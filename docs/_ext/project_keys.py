@@ -297,7 +297,9 @@ def _value(table: type[Table], key: str) -> str:
     expected, example = _expected(table, key), _example(table, key)
     if not example or example in expected or issubclass(table, _setup.SetupTable):
         return expected
-    return f"{expected.partition(', like')[0]}: {example}"
+    # Three numbers have no name of their own, but a unit like that of their example.
+    kind = re.sub(r', like ".*\) (.*)"', r" like \1", expected).partition(", like")[0]
+    return f"{kind}: {example}"
 
 
 def _example(table: type[Table], key: str) -> str:
@@ -344,7 +346,9 @@ def _default(table: type[Table], key: str) -> str:
     if type(value) is float:  # those of effectors are in a unit of their own
         share = f"{100 * value:g} %" if "share" in expected else f"{value:g}"
         return readable(value, unit) if unit else share
-    return f"{value}" if isinstance(value, int) or value == (0.0, 0.0, 0.0) else "-"
+    if value == (0.0, 0.0, 0.0):
+        return "(0, 0, 0)"
+    return f"{value}" if isinstance(value, int) else "-"
 
 
 def _meaning(section: Section, key: str) -> str:
