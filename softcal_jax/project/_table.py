@@ -2,20 +2,12 @@
 
 import dataclasses
 import functools
+import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 import equinox as eqx
 from pydantic import (
@@ -109,14 +101,10 @@ def table_of(
 ) -> type[Maker]:
     """Make the table of a class from its fields, their types and metadata (`key`).
 
-    Args:
-        kind: The class.
-        given: Fields that the table does not have: whoever builds it gives them.
-        base: Its base, with what files have beside the fields.
-        by_hand: Types of fields that their annotation does not say, and of keys that
-            are no field.
+    Fields that are `given` by whoever builds it are no keys. The types `by_hand` are
+    those of fields whose annotation does not say it, and of keys that are no fields.
     """
-    hints, names = get_type_hints(kind), {}
+    hints, names = typing.get_type_hints(kind), {}
     own = {field.name for field in dataclasses.fields(kind)}
     keys: dict[str, Any] = {k: (t, ...) for k, t in by_hand.items() if k not in own}
     for field in dataclasses.fields(kind):
@@ -149,7 +137,9 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
         if entry is str:
             return typed.Names
         if entry is not None:
-            return tuple[_entry(entry, metadata.get("bare")), ...]
+            table, bare = table_of(entry), metadata.get("bare")
+            whole = lambda v: {bare: v} if bare and not isinstance(v, dict) else v
+            return tuple[Annotated[table, BeforeValidator(whole)], ...]
         if isinstance(kind, type) and issubclass(kind, eqx.Module):
             return table_of(kind)
         return {bool: typed.Flag, int: typed.Integer}.get(kind, kind)
@@ -165,16 +155,8 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
 
 
 def _first(hint: Any) -> Any:
-    return get_args(hint)[0] if get_origin(hint) in (Union, UnionType) else hint
-
-
-def _entry(kind: type[eqx.Module], bare: str | None) -> Any:
-    """Return the type of an entry of a list, which may be the value of a `bare` key."""
-    table = table_of(kind)
-    if bare is None:
-        return table
-    whole = lambda value: value if isinstance(value, dict) else {bare: value}
-    return Annotated[table, BeforeValidator(whole)]
+    union = get_origin(hint) in (typing.Union, UnionType)
+    return get_args(hint)[0] if union else hint
 
 
 _adapter = functools.cache(TypeAdapter)
