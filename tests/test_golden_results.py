@@ -76,8 +76,7 @@ VALUES = {
         points.goals.reached points.actuators.force points.actuators.displacement
         points.steps.size""",
     "design": """
-        design.values design.commands design.goals.expected design.error
-        design.expected design.alternatives""",
+        design.values design.commands design.goals.expected design.expected""",
     "compare": """
         models.held_out_rms_mm models.score models.folds.rms_mm
         differences.difference""",

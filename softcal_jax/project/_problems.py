@@ -108,6 +108,8 @@ def _in_words(details: ErrorDetails) -> str:
     if kind == "literal_error":
         # pydantic writes them as 'a', 'b' or 'c'.
         choices = re.findall("'([^']*)'", context["expected"])
+        if not choices:  # true, or numbers
+            return f"{got}{context['expected'].lower()}."
         return got + one_of(str(value), choices)
     if kind == "too_long":
         return f"expected {context['max_length']} values, got {len(value)}."
