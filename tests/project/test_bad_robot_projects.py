@@ -260,6 +260,10 @@ CASES = {
         "gravity_tilt, recording_offset, load_factor, actuator_factor, "
         "clamp_stiffness; got none",
     ),
+    "a text where only true has a meaning": (
+        (WOUND, f'[[setup]]\ngravity_tilt = "both"\nlimit = "3 deg"\n{WOUND}'),
+        'setup[1].gravity_tilt: got "both"; expected true.',
+    ),
     "an absolute prior on a log scale": (
         ("# prior_std = 0.3", 'prior_std = "50 kPa"'),
         'parameters.E.prior_std: got "50 kPa" ... relative ... 0.3',
