@@ -74,14 +74,17 @@ class Module(eqx.Module):
 
 
 class Result(Module):
-    """A record that notebooks show with tables and a picture."""
+    """A record that prints itself as a report, and that notebooks show as a page."""
+
+    def __str__(self) -> str:
+        return _notebook.text_of(self)
 
     def _repr_html_(self) -> str | None:
         return _notebook.html_of(self)
 
 
 def _own_words(record: Module) -> str:
-    has_text = type(record).__str__ is not object.__str__
+    has_text = type(record).__str__ not in (object.__str__, Result.__str__)
     try:
         words = record._words() or (str(record) if has_text else "")
     # Tracebacks write records that are half-built or hold tracers, too.

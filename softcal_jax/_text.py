@@ -6,6 +6,7 @@ spreadsheet runs a cell that begins like a formula.
 
 import re
 import unicodedata
+from collections.abc import Sequence
 
 _HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # controls, lone surrogates, line separators
 _TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
@@ -77,3 +78,17 @@ def as_cell(text: str) -> str:
 def from_cell(text: str) -> str:
     """Undo `as_cell`."""
     return text[1:] if text.startswith("'") and text[1:].startswith(_FORMULA) else text
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Write rows of texts as lines, indented, columns aligned on the left.
+
+    A column without a text takes no room.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = zip(row, widths, strict=True)
+        line = "  ".join(cell.ljust(width) for cell, width in cells if width)
+        lines.append(f"  {line.rstrip()}")
+    return lines

@@ -36,11 +36,42 @@ _WRITTEN = {
 }
 
 
+QUANTITIES: dict[str, tuple[str, float, int | str]] = {
+    "distance": ("mm", 1e3, ".2f"),
+    "step of a fit": ("mm", 1e3, ".3f"),
+    "about": ("mm", 1e3, 2),
+    "turn": ("deg", 180.0 / math.pi, ".2f"),
+    "time": ("s", 1.0, ".1f"),
+    "share": ("%", 100.0, ".1f"),
+    "percent": ("%", 100.0, 3),
+    "correlation": ("", 1.0, ".2f"),
+    "ratio": ("", 1.0, 3),
+    "step": ("", 1.0, 2),
+    "count": ("", 1.0, ".0f"),
+}
+"""How results write what is no size in an SI unit, which has four significant digits.
+
+The unit, its factor from SI, and significant digits or a format.
+"""
+
+
+def number(value: float, digits: int | str = 4) -> str:
+    """Write a number with so many digits, without an exponent where none is needed."""
+    if isinstance(digits, str):
+        return f"{value:{digits}}"
+    if 10.0**digits <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"
+
+
 def readable_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
     """Choose the unit in which values of one SI unit read best, and its factor.
 
     The largest value decides; a unit that is not listed stays as it is.
     """
+    if unit in QUANTITIES:
+        name, factor, _ = QUANTITIES[unit]
+        return factor, name
     steps = [(UNITS[unit][name], name) for name in _WRITTEN.get(unit, ())]
     steps = steps or [(1.0, unit)]
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
@@ -53,7 +84,8 @@ def readable(value: float, unit: str) -> str:
     if math.isnan(value):
         return "unknown"
     factor, shown = readable_unit([value], unit)
-    return f"{factor * value:.6g} {shown}".rstrip()
+    form = QUANTITIES[unit][2] if unit in QUANTITIES else 6
+    return f"{number(factor * value, form)} {shown}".rstrip()
 
 
 def readable_estimate(value: float, standard_error: float, unit: str) -> str:
@@ -80,21 +112,26 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
     return f"{text} {shown}".rstrip()
 
 
-def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> str:
+def readable_values(
+    values: Sequence[float], unit: str, *, digits: int = 4, beside: Iterable[float] = ()
+) -> str:
     """Format one SI value or several in a readable unit, with so many digits.
 
-    A nan among several is "-", as in a goal; if none is known, it is "unknown".
+    The unit is that of all that stands `beside` them, too; `unit` may be one of the
+    `QUANTITIES`. A nan among several is "-", as in a goal; if none is known, it is
+    "unknown".
     """
     if len(values) and all(map(math.isnan, values)):
         return "unknown"
-    factor, shown = readable_unit(values, unit)
-    finite = [abs(factor * value) for value in values if math.isfinite(value)]
-    largest = max(finite, default=0.0)
-    if largest == 0.0:
+    every = [*values, *beside]
+    factor, shown = readable_unit(every, unit)
+    form = QUANTITIES[unit][2] if unit in QUANTITIES else digits
+    if len(_WRITTEN.get(unit, ())) > 1 and not any(v == v and v for v in every):
         factor, shown = 1.0, unit  # all zero: no prefix reads better
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     # Values far below the largest are rounding errors, like 1e-13 N beside 2 N.
-    kept = [0.0 if abs(factor * v) <= 1e-6 * largest else v for v in values]
-    texts = [f"{factor * v:.{digits}g}" if not math.isnan(v) else "-" for v in kept]
+    kept = [0.0 if abs(v) <= 1e-6 * largest else v for v in values]
+    texts = ["-" if math.isnan(v) else number(factor * v, form) for v in kept]
     listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
     return f"{listed} {shown}"
 

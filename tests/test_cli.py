@@ -345,7 +345,7 @@ def test_identify(tmp_path, out, capsys):
     # Two markers on three axes; `pulled` is held out.
     assert says(printed, "Weakly identifiable", "6 measured", "1 parameter")
     assert says(printed, "tells most: expected error of E", "% ->")
-    assert says(printed, "E: noise", "%")  # the budget
+    assert says(printed, "E noise", "%")  # the budget
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
     assert f"Results in {out}: open {out / 'report.html'}" in printed

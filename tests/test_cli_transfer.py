@@ -123,6 +123,6 @@ def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
         rms_of_a=np.array([1.1e-3, np.nan]),
         lost=("high",),
     )
-    assert says(found, "high", "0.2 mm", "-", "no equilibrium was found for high")
+    assert says(found, "no equilibrium was found for high ... high - 0.2 mm -")
     assert found.as_dict()["lost"] == ["high"]
     assert found.as_dict()["rms_of_a"] == [1.1e-3, None]

@@ -1,6 +1,5 @@
 """The course of a fit and the error budget, as charts and as the page shows them."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from wording import says
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.plotting import draw_budget, draw_course
-from softcal_jax.report._charts import MOST_PARAMETERS, budget_chart, course_charts
+from softcal_jax.report._sections import MOST_PARAMETERS, budget_chart, course_charts
 from softcal_jax.report._verdict import end_of
 
 NAMES = "rms", "lambda_p", "E", "nu"
@@ -69,15 +68,11 @@ def test_steps_that_were_not_taken_are_marked():
         assert "step refused" not in drawn(make_result(), name)[2]
 
 
-def images(result):
-    return re.findall("<img [^>]*>", "".join(course_charts(result)))
-
-
 def test_only_the_start():
     """A calibration that stopped before its first step can still be drawn."""
     short = make_result(converged=False, history=make_result().history[:1])
-    assert len(images(short)) == 3
-    assert len(images(make_result())) == 4
+    assert len(course_charts(short)) == 3
+    assert len(course_charts(make_result())) == 4
 
 
 def test_of_many_parameters_the_first_are_drawn():
@@ -90,7 +85,7 @@ def test_of_many_parameters_the_first_are_drawn():
         for entry in make_result().history[:1]
     )
     result = make_result(parameters=parameters, history=history)
-    assert len(images(result)) == 1 + MOST_PARAMETERS
+    assert len(course_charts(result)) == 1 + MOST_PARAMETERS
 
 
 def test_a_step_without_a_logarithm_can_be_drawn():
@@ -115,9 +110,9 @@ def test_the_criterion_that_ended_the_fit_is_named():
     assert says(ended(1.5e-6), "|lambda_p| = 1.5e-06", "reduce the cost", "less")
     assert says(ended(rejected=(4,)), "refused ... flat")
     assert "every step was refused" in ended(converged=False, rejected=(4,))
-    (page,) = course_charts(make_result())
+    said = " ".join(chart.caption for chart in course_charts(make_result()))
     assert says(
-        page, ended(), "240.0 ± 6.0 kPa", "100 kPa to 1 MPa", "0.44, on a bound"
+        said, ended(), "240.0 ± 6.0 kPa", "100 kPa to 1 MPa", "0.44, on a bound"
     )
 
 

@@ -36,10 +36,10 @@ from records import committed, goals_of, rows
 from wording import says
 
 import softcal_jax as sc
+from softcal_jax.calibration import CalibrationResult
 from softcal_jax.control import OUTCOMES
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict
-from softcal_jax.export.result_file import ResultFile
 from softcal_jax.project import Table, load_project
 
 ROOT = Path(__file__).parents[1]
@@ -475,7 +475,7 @@ def test_the_pages_build_without_a_warning_and_need_no_network(tmp_path):
 
 def test_the_table_of_result_json_has_every_key():
     """Those of a result as it is written, and what each is where it is not plain."""
-    keys = dict(keys_of(ResultFile))
+    keys = dict(keys_of(CalibrationResult))
     data = result_dict(make_result())
     assert {key for key in keys if "." not in key} == set(data)
     (marker, *_) = data["configurations"][0]["markers"]

@@ -27,7 +27,7 @@ LAYERS = [
         ),
     },
     {"_lanes", "_module"},
-    {"_files", "_text_table"},
+    {"_files", "_tree"},
     {"elements"},
     {"mesh"},
     {"contact"},

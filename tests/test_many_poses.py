@@ -66,7 +66,7 @@ def test_the_worst_and_the_best_are_listed(fits):
     names = [fit.name for fit in listed_fits(fits)]
     assert names == [fits[0].name, "pose 19", "pose 18", "pose 17", "pose 0"]
     (table,) = error_tables(fits, None)
-    assert [row[0].text for row in table.rows] == names
+    assert [row[0] for row in table.rows()] == names
 
 
 def test_a_few_are_listed_one_by_one(fits):

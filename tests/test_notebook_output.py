@@ -51,6 +51,13 @@ def test_the_verdict_and_the_numbers_are_those_of_the_page(tmp_path, monkeypatch
     assert shown.of("img")
 
 
+def test_print_is_text_in_a_notebook_too(monkeypatch):
+    """There, rich shows what it prints by itself, and writes nothing to its file."""
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    text = str(outputs()["Ranking"])
+    assert says(text, "'turned' tells most", "turned")
+
+
 def test_other_objects_have_none():
-    with pytest.raises(TypeError, match="dict has no output"):
+    with pytest.raises(TypeError, match="dict is no result"):
         notebook_html({})

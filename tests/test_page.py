@@ -38,10 +38,7 @@ from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.report import (
     _html,
     _write,
-    write_comparison,
-    write_identifiability,
     write_results,
-    write_simulation,
 )
 from softcal_jax.report._view import body_view
 
@@ -374,13 +371,13 @@ def test_command_and_hashes_of_the_other_runs(tmp_path, command):
     folder, named = tmp_path / "out", {"a": of("a")}
     setting = "newton.rtol"
     if command == "simulate":
-        write_simulation(make_simulation_result(model), folder, made=of("a"))
+        write_results(make_simulation_result(model), folder, made=of("a"))
     elif command == "identify":
-        write_identifiability(None, make_ranking(), folder, made=of("a"))
+        write_results(make_ranking(), folder, made=of("a"))
     else:
         named, setting = {"a": of("a"), "b": of("b")}, "b.newton.rtol"
         models = [score(name, [1.0, 1.1, 0.9]) for name in ("b", "a")]
-        write_comparison(ModelComparison.ranked(models), folder, made=named)
+        write_results(ModelComparison.ranked(models), folder, made=named)
     page = check_page(folder)
     files = [f"../{name}.toml" for name in named]
     assert f"softcal {command} {' '.join(files)} -o repeated" in page.text
@@ -420,7 +417,7 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     estimate = shown.space, shown.z, shown.budget.covariance
     errors = field_standard_errors(shown.model, *estimate)
     size += 3 * body_view(shown, errors).size // 4
-    monkeypatch.setattr("softcal_jax.report._pages.MOST_PICTURES", size)
+    monkeypatch.setattr("softcal_jax.report._write.MOST_PICTURES", size)
     page, _ = written(tmp_path / "small", make_result())
     check_page(tmp_path / "small")
     assert len(drawn(page)) == 1
@@ -437,7 +434,7 @@ def test_a_page_of_the_user_is_not_replaced(tmp_path):
 
 
 def test_page_of_a_simulation(tmp_path):
-    write_simulation(make_simulation_result(small_model()), tmp_path / "out")
+    write_results(make_simulation_result(small_model()), tmp_path / "out")
     page = check_page(tmp_path / "out")
     data = json.loads((tmp_path / "out" / "simulation.json").read_text())
     assert says(page.text, "1 of 2 configurations")
@@ -449,7 +446,7 @@ def test_page_of_a_simulation(tmp_path):
     largest = data["configurations"][0]["largest_displacement_mm"]
     assert rows[0][1] == f"{largest:.2f} mm"
     result = make_simulation_result(small_model(), (True, True))
-    write_simulation(result, tmp_path / "all")
+    write_results(result, tmp_path / "all")
     page = check_page(tmp_path / "all")
     assert says(page.text, "2 configurations")
     assert colours(page) == "good"
@@ -469,7 +466,7 @@ def score(name, squares, failed=()):
 def test_page_of_a_comparison(tmp_path):
     best, other = score("neo", [1.0, 1.1, 0.9]), score(HOSTILE, [9.0, 9.2, 8.9], (1,))
     comparison = ModelComparison.ranked([other, best])
-    write_comparison(comparison, tmp_path / "out", name=HOSTILE)
+    write_results(comparison, tmp_path / "out", name=HOSTILE)
     page = check_page(tmp_path / "out")
     data = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert data["verdict"] in page.text
@@ -477,8 +474,8 @@ def test_page_of_a_comparison(tmp_path):
     _, *rows = page.tables["Models"]
     assert rows[0][0] == data["best"] == "neo"
     for row, model in zip(rows, data["models"], strict=True):
-        assert float(row[2]) == pytest.approx(model["held_out_rms_mm"], rel=1e-3)
-        assert float(row[5]) == pytest.approx(model["fit_rms_mm"])
+        assert number(row[2]) == pytest.approx(model["held_out_rms_mm"], rel=1e-3)
+        assert number(row[5]) == pytest.approx(model["fit_rms_mm"])
     _, *rows = page.tables["Held-out error of each configuration"]
     for k, model in enumerate(data["models"]):
         for row, fold in zip(rows, model["folds"], strict=True):
@@ -490,7 +487,7 @@ def test_page_of_a_comparison(tmp_path):
     colours_of = []
     for models in ([best, score("b", [1.0, 1.0, 1.1])], [best, score("c", [9, 9, 9])]):
         name = f"{len(colours_of)}"
-        write_comparison(ModelComparison.ranked(models), tmp_path / name)
+        write_results(ModelComparison.ranked(models), tmp_path / name)
         colours_of.append(colours(check_page(tmp_path / name)))
     assert colours_of == ["doubtful", "plain"]
 
@@ -504,7 +501,7 @@ def test_page_of_what_data_would_tell(tmp_path):
             independent(rows, tuple(space.names)), space, space.start()
         )
         out = tmp_path / colour
-        write_identifiability(outlook, make_ranking(), out, name="beam")
+        write_results(outlook, out, ranking=make_ranking(), name="beam")
         page = check_page(out)
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour
@@ -518,9 +515,9 @@ def test_page_of_what_data_would_tell(tmp_path):
         std = data["identifiability"]["parameters"][0]["standard_error"]
         assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
         assert ("leave 1 of 2" in page.text) == (colour == "bad")
-    write_identifiability(outlook, None, tmp_path / "alone")
+    write_results(outlook, tmp_path / "alone")
     assert says(check_page(tmp_path / "alone").text, "Add a configuration")
-    write_identifiability(None, make_ranking(), tmp_path / "ranking")
+    write_results(make_ranking(), tmp_path / "ranking")
     assert colours(check_page(tmp_path / "ranking")) == "plain"
 
 

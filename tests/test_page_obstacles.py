@@ -11,7 +11,7 @@ from test_page_view import fields_of
 
 from benchmarks import _browser
 from softcal_jax.calibration import SimulationResult
-from softcal_jax.report import _write, write_simulation
+from softcal_jax.report import _write, write_results
 from softcal_jax.report._view_data import robot_data, view_data
 from softcal_jax.report._view_fields import surface_of
 
@@ -73,7 +73,7 @@ def test_a_browser_draws_them_half_transparent(model, tmp_path, monkeypatch):
         pytest.skip(str(error))
     monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
     result = SimulationResult(model, (pressed(model),))
-    write_simulation(result, tmp_path / "out")
+    write_results(result, tmp_path / "out")
 
     def seen(tab):
         tab.ask(

@@ -20,7 +20,7 @@ from softcal_jax.fields import field_standard_errors
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import load_project
-from softcal_jax.report import _view, _write, write_results, write_simulation
+from softcal_jax.report import _view, _write, write_results
 from softcal_jax.report._view import body_view
 from softcal_jax.report._view_data import robot_data, view_data
 from softcal_jax.report._view_fields import (
@@ -190,7 +190,7 @@ def test_without_an_equilibrium_nothing_looks_like_one(tmp_path):
     """The body stays at rest, without a value, and words say why."""
     model = small_model()
     result = make_simulation_result(model)
-    write_simulation(result, tmp_path / "out")
+    write_results(result, tmp_path / "out")
     page, data = read(tmp_path / "out")
     good, bad = data["configurations"]
     assert good["drawn"]
@@ -205,7 +205,7 @@ def test_without_an_equilibrium_nothing_looks_like_one(tmp_path):
     assert len(words) == 1
     assert says(page.text, "lane 1: no equilibrium ... inverted")
     assert says(page.text, "drawn at rest")
-    write_simulation(make_simulation_result(model, (False,)), tmp_path / "none")
+    write_results(make_simulation_result(model, (False,)), tmp_path / "none")
     page = check_page(tmp_path / "none")
     assert not page.of("canvas")
     assert says(page.text, "no configuration ... equilibrium")

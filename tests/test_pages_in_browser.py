@@ -28,11 +28,7 @@ from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 from softcal_jax.report import (
     _write,
-    write_comparison,
-    write_identifiability,
-    write_inverse,
     write_results,
-    write_simulation,
     write_sweep,
 )
 from softcal_jax.sweeps import Outcome, Range, run_sweep, sample
@@ -71,19 +67,19 @@ def calibrate(folder: Path) -> Path:
 
 def simulate(folder: Path) -> Path:
     result = make_simulation_result(small_model())
-    return write_simulation(result, folder / "out") / "report.html"
+    return write_results(result, folder / "out") / "report.html"
 
 
 def identify(folder: Path) -> Path:
     outlook = assess(make_result()).identifiability
-    written = write_identifiability(outlook, make_ranking(), folder / "out")
+    written = write_results(outlook, folder / "out", ranking=make_ranking())
     return written / "report.html"
 
 
 def compare(folder: Path) -> Path:
     best, other = score("neo", [1.0, 1.1, 0.9]), score("gent", [9.0, 9.2, 8.9], (1,))
     comparison = ModelComparison.ranked([other, best])
-    return write_comparison(comparison, folder / "out") / "report.html"
+    return write_results(comparison, folder / "out") / "report.html"
 
 
 def sweep(folder: Path) -> Path:
@@ -106,7 +102,7 @@ def sweep(folder: Path) -> Path:
 
 def inverse(folder: Path) -> Path:
     result = searched_arm()
-    return write_inverse(result, folder / "out", notes=["Take care."]) / "report.html"
+    return write_results(result, folder / "out", notes=["Take care."]) / "report.html"
 
 
 def searched_arm():

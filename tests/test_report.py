@@ -28,19 +28,18 @@ from softcal_jax.calibration import (
     ParameterInterval,
     ResidualChecks,
 )
+from softcal_jax.export import latex
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.report import (
+    Column,
     PictureWarning,
     _write,
-    answer_of,
-    simulation_tables,
-    summary_table,
-    write_identifiability,
+    console as drawn,
+    sections,
     write_results,
-    write_simulation,
 )
 
 needs_opengl = pytest.mark.skipif(
@@ -53,16 +52,16 @@ def names(folder):
     return sorted({path.name for path in folder.iterdir()} - {".softcal-files"})
 
 
-def printed(table):
+def printed(tree, width=80):
     """What a terminal of 80 columns shows."""
-    console = Console(width=80, file=io.StringIO())
-    console.print(table)
+    console = Console(width=width, file=io.StringIO())
+    console.print(tree)
     return console.file.getvalue()
 
 
 def answered(result):
     """What a command prints last."""
-    return "\n".join(answer_of(result, assess(result)).lines())
+    return printed(drawn(sections(result), short=True), width=1000)
 
 
 @pytest.fixture
@@ -193,10 +192,10 @@ class TestWholeOrNotAtAll:
 
     def test_a_simulation_too(self, tmp_path, monkeypatch):
         result = make_simulation_result(small_model(), (True,))
-        write_simulation(result, tmp_path / "out")
+        write_results(result, tmp_path / "out")
         with pytest.raises(FileExistsError, match="--force"):
-            write_simulation(result, tmp_path / "out")
-        write_simulation(result, tmp_path / "out", force=True)
+            write_results(result, tmp_path / "out")
+        write_results(result, tmp_path / "out", force=True)
         assert names(tmp_path / "out") == [
             "configurations.pvd",
             "lane_0.vtu",
@@ -210,14 +209,14 @@ class TestWholeOrNotAtAll:
 
         monkeypatch.setattr(export, "write_json", fail)
         with pytest.raises(OSError, match="disk full"):
-            write_simulation(result, tmp_path / "new")
+            write_results(result, tmp_path / "new")
         assert names(tmp_path) == ["out"]
 
 
 @needs_opengl
 def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
     result = make_simulation_result(small_model(), (True, False, True))
-    write_simulation(result, tmp_path / "out", name="poses")
+    write_results(result, tmp_path / "out", name="poses")
     assert names(tmp_path / "out") == [
         "configurations.pvd",
         "lane_0.png",
@@ -243,14 +242,14 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
 def test_each_bound_has_a_unit_of_its_own():
     """Those that `softcal new` proposes, beside a value in kPa."""
     far = ParameterEstimate("E", 2.4e5, 6e3, 2e5, 1e4, 1e8, "Pa", False)
-    text = printed(summary_table(make_result(parameters=(far,))))
+    text = printed(drawn(sections(make_result(parameters=(far,)))))
     assert "200 kPa │ 10 kPa to 100 MPa │" in text
 
 
 def test_summary_in_80_columns():
-    text = printed(summary_table(make_result()))
+    text = printed(drawn(sections(make_result())))
     assert "240.0 ± 6.0 kPa │ 200 kPa │ 100 kPa to 1 MPa" in text
-    assert "0.44 (on a bound) │     0.4 │      0.3 to 0.44" in text
+    assert "0.44 (on a bound) │     0.4 │ 0.3 to 0.44" in text
     rows = [line for line in text.splitlines() if line.startswith("│")]
     for name, role, numbers in (
         ("droop", "calibration", ("4.00 mm", "1.00 mm", "20.00 mm", "5.0 %")),
@@ -262,7 +261,7 @@ def test_summary_in_80_columns():
             role,
             *numbers,
         ]
-    assert "Note: nu ended on a bound." in text
+    assert says(text, "Notes ... nu ended on a bound.")
     assert "…" not in text
 
 
@@ -271,7 +270,7 @@ def test_what_the_others_predict_fits_in_80_columns():
     predicted = LeftOut("a pose with a name", 1e-3, 2e-4, 1e-2, 0.5, np.nan)
     blind = LeftOut("hidden", *[np.nan] * 5)
     checks = ResidualChecks(("a", "b", "c"), None, (predicted, blind))
-    text = printed(summary_table(make_result(checks=checks)))
+    text = printed(drawn(sections(make_result(checks=checks))))
     assert "…" not in text
     rows = [line.strip("│").split("│") for line in text.splitlines()]
     table = {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
@@ -286,17 +285,17 @@ def test_summary_shows_intervals_and_their_kinds():
     nothing = ParameterInterval(
         "nu", 0.9, 0.3, 0.44, "bound", "bound", "", "none", "too little is known"
     )
-    text = printed(summary_table(make_result(intervals=(E, nothing))))
+    text = printed(drawn(sections(make_result(intervals=(E, nothing)))))
     for shown in ("90 % interval", "0.21 to 1 (bound) MPa", "one-sided", "too little"):
         assert shown in text
     assert "±" not in text.replace("value ± standard error", "")
     straight = ParameterInterval(
         "E", 0.9, 2.3e5, 2.5e5, *2 * ["likelihood"], "Pa", "first-order"
     )
-    text = printed(summary_table(make_result(intervals=(straight, nothing))))
+    text = printed(drawn(sections(make_result(intervals=(straight, nothing)))))
     assert "240.0 ± 6.0 kPa" in text
     assert "first-order" in text
-    without = printed(summary_table(make_result()))
+    without = printed(drawn(sections(make_result())))
     assert "90 % interval" not in without
     assert "Parameters, ± not checked" in without
 
@@ -332,14 +331,14 @@ def axis_result(*rows, space=None):
 
 
 def test_angles_are_in_degrees():
-    text = printed(summary_table(axis_result()))
+    text = printed(drawn(sections(axis_result())))
     row = "theta of CP 1 ... -33.94 ± 0.12 deg ... 10 deg ... -90 deg to 90 deg"
     assert says(text, row)
     assert "rad" not in text
 
 
 def test_summary_names_what_the_data_do_not_see():
-    text = printed(summary_table(axis_result([100.0, 0.0])))
+    text = printed(drawn(sections(axis_result([100.0, 0.0]))))
     rows = [
         [cell.strip() for cell in line.strip("│").split("│")]
         for line in text.splitlines()
@@ -414,18 +413,22 @@ def test_many_blind_directions_are_counted():
     space = ParameterSpace(
         tuple(
             Parameter(f"E of {i}", "E", 2e5, 1e5, 1e6, region=f"r{i}", unit="Pa")
-            for i in range(8)
+            for i in range(10)
         )
     )
-    text = printed(summary_table(axis_result(*np.zeros((3, 8)), space=space)))
-    assert says(text, "leave 8 of 8 directions")
+    text = printed(drawn(sections(axis_result(*np.zeros((3, 10)), space=space))))
+    assert says(text, "leave 10 of 10 directions")
     assert "and 2 more." in text
 
 
 def test_an_outlook_as_a_folder(tmp_path):
     outlook = judged([100.0, 0.0])
-    folder = write_identifiability(
-        outlook, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
+    folder = write_results(
+        outlook,
+        tmp_path / "out",
+        ranking=make_ranking(),
+        name="beam",
+        timing_s={"solve": 1.0},
     )
     words = ["identifiability.json", "identifiability.txt", "report.html"]
     assert names(folder) == words
@@ -434,11 +437,13 @@ def test_an_outlook_as_a_folder(tmp_path):
     assert data["files"] == ["report.html", "identifiability.txt"]
     assert data["identifiability"]["verdict"] == "not identifiable"
     text = (folder / "identifiability.txt").read_text()
-    assert text == f"beam\n\n{outlook}\n\n{make_ranking()}\n"
+    assert text.startswith(f"beam\n\n{outlook.headline}\n")
+    for said in (*outlook.blind, make_ranking().headline, make_ranking().reached):
+        assert getattr(said, "words", said) in text
 
     with pytest.raises(FileExistsError, match="--force"):
-        write_identifiability(outlook, None, folder)
-    write_identifiability(outlook, None, folder, force=True)
+        write_results(outlook, folder)
+    write_results(outlook, folder, force=True)
     assert json.loads((folder / "identifiability.json").read_text())["ranking"] is None
 
 
@@ -449,7 +454,7 @@ def test_a_verdict_goes_into_the_results(tmp_path):
     data = json.loads((folder / "result.json").read_text())
     assert data["identifiability"]["verdict"] == "identifiable"
     # Over it, an outlook: the calibration's files go.
-    write_identifiability(judged([1.0, 0.0]), None, folder, force=True)
+    write_results(judged([1.0, 0.0]), folder, force=True)
     words = ["identifiability.json", "identifiability.txt", "report.html"]
     assert names(folder) == words
 
@@ -475,24 +480,41 @@ def test_what_misses_held_out_poses_by_far_is_not_to_be_used(role, missed, outco
     assert assessment.contradicted
 
 
+def test_a_renderer_of_ones_own_has_numbers_in_si_and_units_in_heads():
+    """As the docs show: columns for a data frame, and LaTeX."""
+    fits = [make_fit(small_model().mesh, "50 %_a")]
+    tables = [t for s in sections(make_result(fits=fits)) for t in s.tables]
+    (errors,) = [t for t in tables if t.title.startswith("Residuals of the markers")]
+    columns = {column.title: [*column.values] for column in errors.columns}
+    assert columns["configuration"] == ["50 %_a"]
+    assert columns["motion"] == pytest.approx([0.02])
+    lines = latex(errors).splitlines()
+    assert lines[0] == r"\begin{tabular}{llrrrr}"
+    assert says(lines[1], "configuration & role & before [mm] ... relative error [\\%]")
+    assert lines[3] == r"50 \%\_a & calibration & 4.00 & 1.00 & 20.00 & 5.0 \\"
+    assert Column("off by", [0.0, np.nan], "distance").unit == "mm"
+    assert Column("turned", [0.0], "rad").texts() == ["0 deg"]
+    (parameters,) = [t for t in tables if t.title.startswith("Parameters")]
+    assert r"240.0 $\pm$ 6.0 kPa" in latex(parameters)  # units differ from row to row
+
+
 def test_names_are_no_markup():
     """`rich` would take "[red]" for a colour and swallow it."""
     fit = make_fit(small_model().mesh, "[red]pose[/]")
     estimate = ParameterEstimate("[b]E", 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", False)
     parameters = (estimate,)
     result = make_result(fits=[fit], parameters=parameters, notes=("[b]bold",))
-    text = printed(summary_table(result))
+    text = printed(drawn(sections(result)))
     assert "[red]pose[/]" in text
     assert "[b]E" in text
-    assert "Note: [b]bold" in text
+    assert says(text, "Notes ... [b]bold")
 
 
 def test_simulation_table():
     result = make_simulation_result(small_model())
-    (table,) = simulation_tables(result)
     rows = [
         [cell.strip() for cell in line.strip("│").split("│")]
-        for line in printed(table.drawn()).splitlines()
+        for line in printed(drawn(sections(result))).splitlines()
         if line.startswith("│")
     ]
     assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]
@@ -504,7 +526,7 @@ def test_simulation_table():
 def test_no_equilibrium_is_said_instead_of_nan(tmp_path):
     """A pose that only the start parameters cannot hold: the rest is there."""
     result = make_result(fits=[nowhere_before(make_fit(small_model().mesh))])
-    table = printed(summary_table(result))
+    table = printed(drawn(sections(result)))
     (droop,) = [line for line in table.splitlines() if "droop" in line]
     assert [cell.strip() for cell in droop.split("│")[3:5]] == ["-", "1.00 mm"]
     assert "nan" not in table

@@ -31,8 +31,8 @@ from softcal_jax.export import readable_values, result_dict, write_csv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project
-from softcal_jax.report import summary_table
-from softcal_jax.report._charts import course_charts
+from softcal_jax.report import console as drawn, sections
+from softcal_jax.report._sections import course_charts
 
 WEIGHT = (60e-3 * 20e-3 * 20e-3 * 1000.0 + 0.01) * 9.81
 
@@ -238,7 +238,7 @@ def fit_with_robot():
 def test_a_calibration_shows_them():
     """Angles in a table of their own; lengths measured, before and after."""
     console = Console(width=100, file=io.StringIO())
-    console.print(summary_table(make_result(fits=[fit_with_robot()])))
+    console.print(drawn(sections(make_result(fits=[fit_with_robot()]))))
     text = console.file.getvalue()
     assert "Residuals of the orientations" in text
     assert "11.46 deg" in text  # 0.2 rad
@@ -269,9 +269,9 @@ def test_a_fit_of_lengths_alone_shows_its_cost():
     fit = dataclasses.replace(fit, effectors=fit.others)
     result = make_result(fits=[fit])
     console = Console(width=100, file=io.StringIO())
-    console.print(summary_table(result))
+    console.print(drawn(sections(result)))
     assert "Rms distance" not in console.file.getvalue()
-    assert ">cost<" in course_charts(result)[0]
+    assert course_charts(result)[0].title == "cost"
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,11 @@ from sphinx.domains.python import PyObject
 from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
+from softcal_jax.calibration import CalibrationResult
 from softcal_jax.cli import main
-from softcal_jax.export.result_file import Entry, Keys, ResultFile
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.export import KEYS, OTHER, POINT
+from softcal_jax.identifiability import Assessment, Identifiability
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import silicone_beam_path
 
@@ -271,32 +274,51 @@ class Licences(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
-def keys_of(entry: type[Entry], before: str = "") -> list[tuple[str, str]]:
-    """List the keys of an entry of `result.json`, and of those in it, in words."""
+WRITTEN = {
+    "format": "Format of the file.",
+    "name": "Name of the calibration.",
+    "source": "The files that it was made from: `project`, `files` and `changes`.",
+    "solver": "The sparse solver, law, formulation and size of the mesh.",
+    "settings": "Settings of the calibration, of Newton's method and of the noise.",
+    "budget": "The standard errors by cause, in SI units.",
+    "budget.parameters": "`name`, `unit`, `standard_error`, `by_cause`, a `sentence`.",
+    "budget.errors": "What is uncertain: `cause`, `name` and `deviations`.",
+    "budget.covariance": "Covariance of the scaled parameters, by all causes.",
+    "assessment": "Whether the values may be trusted.",
+    "identifiability": "What the data tell; null stands for infinite values, too.",
+    "versions": "Versions of Python and its packages, and the machine.",
+    "timing_s": "Wall time per part [s].",
+}
+"""Keys of `result.json` that are no attributes of a calibration."""
+
+
+def keys_of(kind: type, before: str = "") -> list[tuple[str, str]]:
+    """List the keys of a class in `result.json`, and of those in it, in words."""
     rows = []
-    for name, field in entry.model_fields.items():
-        attribute = str(field.validation_alias or name.removesuffix("_mm"))
-        words = field.description or words_of(entry.of, attribute)
-        rows.append((f"{before}{name}", _in_mm(name, words)))
-        for kind in _classes(field.annotation):
-            if issubclass(kind, Entry):
-                rows += keys_of(kind, f"{before}{name}.")
-        for mark in field.metadata:
-            if isinstance(mark, Keys):
-                rows += _attributes(mark, f"{before}{name}.")
+    if not before:
+        rows = [*WRITTEN.items()]
+        rows += keys_of(Assessment, "assessment.")
+        rows += keys_of(Identifiability, "identifiability.")
+    types = {own.name: own.type for own in dataclasses.fields(kind)}
+    names = [own.name for own in dataclasses.fields(kind)]
+    for name in KEYS[kind].split() if kind in KEYS else names:
+        key, _, attribute = name.partition("=")
+        attribute = attribute or key.removesuffix("_mm")
+        words = _in_mm(key, words_of(kind, attribute))
+        rows.append((f"{before}{key}", words))
+        if key in EFFECTORS:
+            own = (one.removesuffix("_mm") for one in EFFECTORS[key].split())
+            of = (words_of(EffectorRecord, one) for one in own)
+            each = zip(EFFECTORS[key].split(), of, strict=True)
+            rows += [(f"{before}{key}.{one}", _in_mm(one, said)) for one, said in each]
+        for inner in _classes(types.get(attribute)):
+            if dataclasses.is_dataclass(inner):
+                rows += keys_of(inner, f"{before}{key}.")
     return rows
 
 
-def _attributes(mark: Keys, before: str) -> list[tuple[str, str]]:
-    """List keys that are attributes of a class, and of the classes of these."""
-    rows, types = [], {own.name: own.type for own in dataclasses.fields(mark.of)}
-    for key in mark.names:
-        words = words_of(mark.of, key.removesuffix("_mm"))
-        rows.append((before + key, _in_mm(key, words)))
-        for kind in _classes(types.get(key)):
-            if dataclasses.is_dataclass(kind):
-                rows += _attributes(Keys(kind), f"{before}{key}.")
-    return rows
+EFFECTORS = {"markers": POINT, "effectors": OTHER}
+"""Keys of effectors, by what has them."""
 
 
 def _in_mm(key: str, words: str) -> str:
@@ -326,7 +348,7 @@ class KeysTable(SphinxDirective):
         lines = ["| key | what it is |", "|---|---|"]
         lines += [
             f"| `{key}` | {words.replace('|', '&#124;')} |"
-            for key, words in keys_of(ResultFile)
+            for key, words in keys_of(CalibrationResult)
         ]
         return self.parse_text_to_nodes("\n".join(lines))
 

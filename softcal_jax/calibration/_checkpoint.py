@@ -21,6 +21,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._places import cause, only_writer, replacing
 from softcal_jax._typing import HostArray
+from softcal_jax._units import readable
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import CalibrationWarning
@@ -71,7 +72,7 @@ class HistoryEntry(Module):
         """Write the fit and the parameters after the step, in one line."""
         values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
         refused = "" if self.accepted else " (step refused)"
-        misfit = f"rms {1e3 * self.rms:.3f} mm"
+        misfit = f"rms {readable(self.rms, 'step of a fit')}"
         if math.isnan(self.rms):  # no points are measured
             misfit = f"cost {self.cost:.3g}"
         return f"step {self.step}: {misfit}, {values}{refused}"

@@ -1,6 +1,5 @@
 """One configuration at equilibrium: its effectors, measured and simulated."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -13,6 +12,7 @@ from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, Result
 from softcal_jax._names import MOST_NAMED, listed
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
@@ -91,20 +91,6 @@ class ConfigurationResult(Module):
     posed: Configuration | None = None
     self_contact: SelfContact | None = None
     omissions: tuple[Omission, ...] = ()
-
-    def __str__(self) -> str:
-        """Write how far the markers are off before and after, in one line."""
-        course = lambda sizes, shape: " to ".join(
-            f"{size:{shape}}" for size in sizes if math.isfinite(size)
-        )
-        rms = course((1e3 * self.rms_before, 1e3 * self.rms_after), ".3f")
-        what = f"rms {rms} mm" * bool(rms) or ", ".join(
-            f"{e.name} {course(map(e.distance, both), '.3g')} {e.unit} off"
-            for e in self.effectors
-            for both in [(e.simulated_before, e.simulated)]
-            if e.seen.any()
-        )
-        return f"{self.name} ({self.role}): {what or 'nothing measured'}"
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:
@@ -227,7 +213,9 @@ class ConfigurationResult(Module):
 def off_by(poses: Sequence[tuple[str, float, float]], done: str = "") -> str:
     """Say how far poses are `done` off, given their names, errors and motions [m]."""
     share = lambda x, u: f", {100.0 * x / u:.0f} % of its motion" if u > 0.0 else ""
-    each = [f"{p} is {done}{1e3 * x:.2f} mm off{share(x, u)}" for p, x, u in poses]
+    each = [
+        f"{p} is {done}{readable(x, 'distance')} off{share(x, u)}" for p, x, u in poses
+    ]
     more = [f"{len(each) - MOST_NAMED} more"] * (len(each) > MOST_NAMED)
     return "; ".join(each[:MOST_NAMED] + more)
 

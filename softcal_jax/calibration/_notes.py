@@ -144,7 +144,7 @@ def _contradictions(poses: Sequence[LeftOut]) -> Iterator[str]:
         known = max(p.expected for p in poses if math.isfinite(p.rms))
         yield (
             f"Predicted from the other poses, {off_by(far)}; known errors explain "
-            f"{'at most ' * (len(far) > 1)}{1e3 * known:.2g} mm."
+            f"{'at most ' * (len(far) > 1)}{readable(known, 'about')}."
         )
     for known in (False, True):
         blind = [p for p in poses if not math.isfinite(p.rms)]

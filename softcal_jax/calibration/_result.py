@@ -33,8 +33,6 @@ from softcal_jax.inference import (
     chance,
 )
 
-MOST_OPTIMA = 5  # most optima that are listed; the others are only counted
-
 SKEWED = 1.8
 """Ratio of the halves of an interval from which on no value +- error is shown [-].
 
@@ -195,7 +193,7 @@ class Optimum(Module):
         return ", ".join(f"{name} {value:.4g}" for name, value in self.values.items())
 
 
-class MultiStartResult(Module):
+class MultiStartResult(Result):
     """Result of a search from many starts.
 
     Attributes:
@@ -246,30 +244,22 @@ class MultiStartResult(Module):
         """The optimum with the lowest cost after the best; None if there is none."""
         return self.optima[1] if len(self.optima) > 1 else None
 
-    def __str__(self) -> str:
-        """Write a line for each of the best optima, and for runs that reached none."""
-        n, n_converged = len(self.cost), int(self.converged.sum())
-        lines = [
-            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
-        ]
+    @property
+    def words(self) -> str:
+        """How its runs ended, in sentences."""
+        n, lost = len(self.cost), np.isinf(self.cost)
+        unfinished = ~self.converged & ~lost
+        text = f"{n} starts, {self.converged.sum()} converged, {len(self.optima)} "
+        text += "distinct optima."
         if self.missed < 1.0:
             share = f"{100.0 * self.missed:.0f} %"
-            lines[0] += f" Of further starts, {share} are expected to end at others."
-        for best in self.optima[:MOST_OPTIMA]:
-            origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
-            lines.append(f"  cost {best.cost:.3g} {origin}: {best.words}")
-        if len(self.optima) > MOST_OPTIMA:
-            lines.append(f"  and {len(self.optima) - MOST_OPTIMA} more.")
-        lost = np.isinf(self.cost)
-        unfinished = ~self.converged & ~lost
+            text += f" Of further starts, {share} are expected to end at others."
         if unfinished.any():
             lowest = self.cost[unfinished].min()
-            lines.append(
-                f"  {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
-            )
+            text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
         if lost.any():
-            lines.append(f"  {lost.sum()} without equilibrium at the start.")
-        return "\n".join(lines)
+            text += f" {lost.sum()} without equilibrium at the start."
+        return text
 
 
 class CalibrationResult(Result):
@@ -442,30 +432,6 @@ class CalibrationResult(Result):
 
     def _words(self) -> str:
         return ", ".join([self._end, *(f"{p.name} = {p}" for p in self.parameters)])
-
-    def __str__(self) -> str:
-        """Write the parameters, the fits and the notes, in a few lines."""
-        lines = [f"Calibration {self._end}."]
-        for p in self.parameters:
-            error = f" +- {p.standard_error:.2g}" if p.is_symmetric else ""
-            lines.append(
-                f"  {p.name} = {p.value:.5g}{error} {p.unit} "
-                f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
-            )
-        lines += [f"  {line}" for line in str(self.budget).splitlines()]
-        lines += [
-            f"  {100 * i.level:g} % interval of {i.name}: {i} ({i.kind})"
-            for i in self.intervals
-        ]
-        lines += [f"  {fit}" for fit in self.configurations]
-        if self.starts is not None and self.starts.second_best is not None:
-            lines += [f"  {line}" for line in str(self.starts).splitlines()]
-        if self.checks is not None:
-            lines += [f"  {line}" for line in self.checks.agreement]
-        doubts = filter(None, (*self.doubts, self.repeated, *self.contact_doubts))
-        lines += [f"  Doubt: {reason}" for reason in doubts]
-        lines += [f"  Mistake? {sentence}" for sentence in self.mistakes]
-        return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:
         """Return the calibrated value of a parameter.

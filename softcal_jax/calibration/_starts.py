@@ -158,7 +158,7 @@ class SearchProgress(NamedTuple):
     def __str__(self) -> str:
         """Write the step in one line."""
         image = f", mirror image {self.image}" if self.image else ""
-        now = f"step {self.step}: rms {1e3 * self.rms:.3f} mm"
+        now = f"step {self.step}: rms {readable(self.rms, 'step of a fit')}"
         now = now if self.step else "first equilibria"
         return f"start {self.start + 1} of {self.starts}{image}, {now}"
 

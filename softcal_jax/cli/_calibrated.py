@@ -67,9 +67,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         )
     show.lap("search")
     show.line()
-    for table in report.inverse_tables(result):
-        show.line(table.drawn())
-    show.line(result.message)
+    show.line(report.console(report.sections(result)))
     if further := beyond(project.calibration, result.configuration):
         show.line(f"The model is not tested there: {further}.")
     options = ["--configuration", posed.name]
@@ -77,7 +75,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         for text in getattr(args, flag):
             options += [f"--{flag}", text]
     write = partial(
-        report.write_inverse,
+        report.write_results,
         result,
         name=project.name,
         made=Made(loaded.model, {"control": settings}, project.source),

@@ -40,6 +40,7 @@ def demo(args: argparse.Namespace, show: cli.Display) -> None:
 def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
+    from softcal_jax._units import readable
     from softcal_jax.identifiability import assess
 
     project = cli.load(args.project, show)
@@ -49,7 +50,10 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     if project.validation:
         show.note(f"predict: {_names(project.validation)}")
     if project.registrations:
-        left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
+        left = (
+            f"{n} {readable(r.rms, 'distance')}"
+            for n, r in project.registrations.items()
+        )
         show.note(f"camera frame to mesh frame, rms residuals: {', '.join(left)}")
     show.now("first equilibrium")
     with cli.no_equilibrium("Nothing was written."):
@@ -66,10 +70,8 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     if result.beyond_noise and not result.interrupted:
         result = _with_mistakes(result, show)
     show.line()
-    if args.verbose:
-        show.line(report.summary_table(result, assessment))
-    for text in report.answer_of(result, assessment).lines():
-        show.line(text)
+    tree = report.calibration_sections(result, assessment)
+    show.line(report.console(tree, short=not args.verbose))
     more = {"name": project.name, "traces": project.traces}
     write = partial(report.write_results, result, assessment=assessment, **more)
     cli.write_results(write, args, show, index="result.json")
@@ -120,14 +122,10 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
         show.note(f"values of {args.values}: {names}")
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
-    for table in report.simulation_tables(result):
-        show.line(table.drawn())
-    errors = report.held_out_sentences(result.configurations)
-    for sentence in (*errors, *result.doubts):
-        show.line(sentence)
+    show.line(report.console(report.sections(result)))
     more = {"name": project.name, "traces": project.traces}
     more |= {"calibration": args.values and report.result_path(args.values)}
-    write = partial(report.write_simulation, result, made=_made(project), **more)
+    write = partial(report.write_results, result, made=_made(project), **more)
     cli.write_results(write, args, show, index="simulation.json")
     # Who has no equilibrium is named once the results are written.
     with cli.no_equilibrium("The results contain the others, if any."):
@@ -154,11 +152,8 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         )
     show.lap("design", compiling=result.fit.timing_s["compile"])
     show.line()
-    for table in report.design_tables(result):
-        show.line(table.drawn())
-    for sentence in (result.headline, *result.reasons, *result.worth):
-        show.line(sentence)
-    write = partial(report.write_design, result, name=project.name, project=project)
+    show.line(report.console(report.sections(result)))
+    write = partial(report.write_results, result, name=project.name, project=project)
     cli.write_results(write, args, show, index="design.json")
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
@@ -176,7 +171,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
 def identify(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
-    from softcal_jax.export import outlook_dict
+    from softcal_jax.export import result_dict
 
     project = cli.load(args.project, show)
     with cli.bad_input():
@@ -205,12 +200,15 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
             ranking = project.rank_candidates(proposals=True, progress=progress)
             show.lap("candidates")
             show.line(f"{ranking}\n")
-    more = {"name": project.name, "made": _made(project, precision=project.precision)}
+    made = _made(project, precision=project.precision)
+    more: dict[str, Any] = {"name": project.name, "made": made}
+    result: Any = outlook or ranking
+    more["ranking"] = ranking
     if args.output is None:
-        show.document(outlook_dict(outlook, ranking, timing_s=show.laps, **more))
+        show.document(result_dict(result, timing_s=show.laps, **more))
         show.times()
     else:
-        write = partial(report.write_identifiability, outlook, ranking, **more)
+        write = partial(report.write_results, result, **more)
         cli.write_results(write, args, show, index="identifiability.json")
 
 
@@ -238,7 +236,7 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 def compare(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
-    from softcal_jax.export import comparison_dict
+    from softcal_jax.export import result_dict
     from softcal_jax.project import compare_projects, projects_by_name
 
     projects = [cli.load(path, show) for path in args.projects]
@@ -253,10 +251,10 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     show.line()
     show.line(str(comparison))
     if args.output is None:
-        show.document(comparison_dict(comparison, timing_s=show.laps, made=made))
+        show.document(result_dict(comparison, timing_s=show.laps, made=made))
         show.times()
     else:
-        write = partial(report.write_comparison, comparison, made=made)
+        write = partial(report.write_results, comparison, made=made)
         cli.write_results(write, args, show, index="comparison.json")
     if comparison.best is None:
         raise cli.Stop(cli.NOT_CONVERGED, "no model predicts every configuration.")

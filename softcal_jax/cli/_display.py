@@ -15,7 +15,7 @@ from functools import partial
 from textwrap import fill
 from typing import Any, NoReturn
 
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.segment import Segment
 from rich.text import Text
@@ -215,10 +215,9 @@ class Display:
 
     def line(self, text: RenderableType = "") -> None:
         self._said = time.monotonic()
-        if isinstance(text, str):
-            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
-        else:
-            self.console.print(text)
+        for part in text.renderables if isinstance(text, Group) else [text]:
+            soft = isinstance(part, str | Text)  # a terminal wraps it, a log does not
+            self.console.print(part, markup=False, highlight=False, soft_wrap=soft)
 
     def warning(self, text: str) -> None:
         self.warnings.append(text)

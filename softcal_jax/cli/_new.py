@@ -87,7 +87,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
-    from softcal_jax._text_table import aligned
+    from softcal_jax._text import aligned
     from softcal_jax.export import readable_values
 
     body, recorded = findings.body, findings.recorded

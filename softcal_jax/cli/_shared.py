@@ -266,6 +266,8 @@ def checkpoint_stands(args: argparse.Namespace) -> str:
 
 def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Return a callback that prints a line per step and says what comes next."""
+    from softcal_jax._units import readable
+
     noise: float | None = None
 
     def progress(entry: "HistoryEntry") -> None:
@@ -273,7 +275,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
         # Lengths, angles and forces have no distance, so show the cost.
         misfit = f"cost {entry.cost:9.3g}"
         if math.isfinite(entry.rms):
-            misfit = f"rms {1e3 * entry.rms:7.3f} mm"
+            misfit = f"rms {readable(entry.rms, 'step of a fit'):>10}"
         size = max(abs(step) for step in entry.lambda_p)
         moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
         values = _values(project.parameters, entry.values)
@@ -291,7 +293,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
 
 def so_far(result: "CalibrationResult", show: Display) -> None:
     """Print the values before their errors, and what may still change them."""
-    from softcal_jax.export import readable_estimate
+    from softcal_jax._units import readable, readable_estimate
     from softcal_jax.report import held_out_sentences
 
     of = "one start"
@@ -308,7 +310,7 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
     for p in result.parameters:
         show.note(f"  {p.name} = {readable_estimate(p.value, math.nan, p.unit)}")
     if math.isfinite(result.history[-1].rms):
-        show.note(f"  Residuals: {1e3 * result.history[-1].rms:.2f} mm rms")
+        show.note(f"  Residuals: {readable(result.history[-1].rms, 'distance')} rms")
     for sentence in held_out_sentences(result.configurations):
         show.note(f"  {sentence}")
 

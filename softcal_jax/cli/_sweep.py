@@ -46,8 +46,13 @@ examples:
 def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     import jax
 
-    from softcal_jax.report import check_sweep_page, write_sweep
-    from softcal_jax.sweeps import load_sweep, read_sweep, sweep_table
+    from softcal_jax.report import (
+        check_sweep_page,
+        console,
+        sweep_sections,
+        write_sweep,
+    )
+    from softcal_jax.sweeps import load_sweep, read_sweep
 
     # Only a program may set this, for itself and its workers; a library must not.
     jax.config.update("jax_enable_x64", True)
@@ -84,7 +89,7 @@ def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     show.lap("trials")
     show.line()
     with cli.bad_input():  # rows that were edited
-        show.line(sweep_table(result))
+        show.line(console(sweep_sections(result)))
         show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
         page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
     show.line(f"Report: open {page} in a browser.")
@@ -162,14 +167,16 @@ def _row_line(row: "TrialRow") -> str:
 def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.plotting import PictureStyle
-    from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
+    from softcal_jax.report import console, sweep_sections
+    from softcal_jax.sweeps import plot_sweep, read_sweep, write_sweep_csv
 
     cli.check_new(*filter(None, (args.csv, args.plot)), force=True)
     with cli.bad_input():
         result = read_sweep(args.database)
         chosen = {"by": args.by, "figures": args.figure}
         show.document({"name": result.name, "rows": [*map(_row_dict, result.rows)]})
-        show.line(sweep_table(result, **chosen, every=args.all))
+        tree = sweep_sections(result, **chosen, every=args.all)
+        show.line(console(tree))
         if args.csv is not None:
             write_sweep_csv(result, args.csv)
             show.line(f"One line per trial in {args.csv}.")

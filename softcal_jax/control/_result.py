@@ -222,10 +222,6 @@ class InverseResult(Result):
     def _words(self) -> str:
         return self.message
 
-    def __str__(self) -> str:
-        goals = (f"{fit.name!r} is off by {fit.off}" for fit in self.goals)
-        return "\n  ".join([self.message, f"commanded: {self.commanded}", *goals])
-
     @property
     def commanded(self) -> str:
         """What is imposed on the commanded actuators, in words."""
@@ -270,9 +266,6 @@ class TrajectoryResult(Result):
 
     def _words(self) -> str:
         return self.headline
-
-    def __str__(self) -> str:
-        return "\n".join([self.headline, *map(str, self.points)])
 
     @property
     def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:

@@ -7,7 +7,6 @@ import numpy as np
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import GoalFit
@@ -52,21 +51,6 @@ class DesignGoal(GoalFit):
     def error(self) -> float:
         """Size of the error as ordered, in the unit of the effector."""
         return float(np.linalg.norm(self.residual))
-
-    def __str__(self) -> str:
-        """Write what is reached, in one line."""
-        show = lambda value: readable(float(f"{value:.2g}"), self.effector.unit).strip()
-        low, high = map(show, self.interval)
-        text = (
-            f"{self.label}: {'met' if self.met else 'MISSED'}, {show(self.error)} off"
-        )
-        if not self.hangs_on:  # nothing that is printed moves it
-            return text
-        return (
-            f"{text} as ordered; as printed {show(self.expected)}, {100 * LEVEL:g} % "
-            f"between {low} and {high}, {100 * self.share:.0f} % of it by "
-            f"{self.hangs_on}"
-        )
 
 
 class Trade(Module):
@@ -210,15 +194,6 @@ class DesignResult(Result):
 
     def _words(self) -> str:
         return self.headline
-
-    def __str__(self) -> str:
-        """Write the verdict, the values, the goals and the alternatives."""
-        lines = [self.headline, *(f"  {reason}" for reason in self.reasons)]
-        lines += [
-            f"  {p.name} = {readable(p.value, p.unit)}" for p in self.fit.parameters
-        ]
-        lines += [f"  {line}" for line in (*self.goals, *self.peaks)]
-        return "\n".join([*lines, *(f"  {sentence}" for sentence in self.worth)])
 
 
 def expected_of(goals: Sequence[DesignGoal]) -> float:

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from math import isfinite, nan
+from math import nan
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._text_table import text_table
+from softcal_jax._tree import Section, Table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
 from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
@@ -20,7 +20,7 @@ from softcal_jax.export import check_results_folder
 from softcal_jax.fields import exactly_known
 from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
-from softcal_jax.report import LoadedResult, load_result
+from softcal_jax.report import LoadedResult, load_result, text
 
 _ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
@@ -179,15 +179,15 @@ def _lines_of_both(
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
     # How far points move, then errors of three models: the calibrated one, that of the
     # program with the same values, and that of the program calibrated itself.
-    mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
     rows = []
     for c in refitted.configurations:
         errors = calibrated.errors[c.name], c.rms_before, c.rms_after
-        rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
-    models = "calibrated model", f"{program}, same values", f"{program}, own values"
-    title = "Distances of points from where they were measured, rms:"
-    table = text_table(title, ("configuration", "role", "motion", *models), rows)
-    return [*lines, "", title, *table.lines()]
+        rows.append((c.name, c.role, c.motion, *errors))
+    heads = "configuration | role | motion [m] | calibrated model [m]"
+    heads += f" | {program}, same values [m] | {program}, own values [m]"
+    title = "Distances of points from where they were measured, rms"
+    table = Table.of(title, heads, rows)
+    return [*lines, "", text([Section("errors", "", (), (table,))])]
 
 
 def cable_guides(

@@ -5,7 +5,6 @@ from softcal_jax._units import (
     readable_unit as readable_unit,
     readable_values as readable_values,
 )
-from softcal_jax.export._csv import write_csv as write_csv
 from softcal_jax.export._folder import (
     check_results_folder as check_results_folder,
     complete_results as complete_results,
@@ -14,19 +13,25 @@ from softcal_jax.export._folder import (
 )
 from softcal_jax.export._json import (
     RESULT_FORMAT as RESULT_FORMAT,
-    comparison_dict as comparison_dict,
-    inverse_dict as inverse_dict,
-    outlook_dict as outlook_dict,
+    Result as Result,
+    bodies_of as bodies_of,
     result_dict as result_dict,
-    simulation_dict as simulation_dict,
     solver_dict as solver_dict,
 )
 from softcal_jax.export._made import (
+    KEYS as KEYS,
+    OTHER as OTHER,
+    POINT as POINT,
     Made as Made,
     file_dict as file_dict,
     made_dict as made_dict,
     plain as plain,
     write_json as write_json,
+)
+from softcal_jax.export._tables import (
+    latex as latex,
+    write_csv as write_csv,
+    write_rows as write_rows,
 )
 from softcal_jax.export._vtu import (
     STANDARD_ERROR as STANDARD_ERROR,

@@ -1,10 +1,11 @@
 """Results as dictionaries for JSON: positions in mm, the rest in SI, angles in rad.
 
-They hold dictionaries, lists, texts, numbers and None, which stands for every number
-that is missing or not finite.
+`KEYS` says what is written of each class. They hold dictionaries, lists, texts, numbers
+and None, which stands for every number that is missing or not finite.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
+from softcal_jax.designs import DesignResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.export._made import Made, made_dict, pick, plain, source_dict, versions
+from softcal_jax.export._made import Made, made_dict, pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
@@ -25,50 +27,96 @@ from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""
 
+Result = (
+    CalibrationResult
+    | SimulationResult
+    | DesignResult
+    | InverseResult
+    | TrajectoryResult
+    | Identifiability
+    | Ranking
+    | ModelComparison
+)
+"""What is written to a results folder."""
+
 
 def result_dict(
-    result: CalibrationResult,
+    result: Result,
     *,
-    name: str = "calibration",
+    name: str = "",
     assessment: Assessment | None = None,
+    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
+    made: Made | Mapping[str, Made] | None = None,
     directory: str | Path = ".",
 ) -> dict[str, Any]:
-    """Convert a calibration to `result.json`, see `result_file.ResultFile`.
+    """Convert a result to the content of its JSON file, see `KEYS`.
 
-    Its assessment is made if it is not given; `timing_s` are wall times of further
-    parts [s], and paths of files are relative to `directory`.
+    In the `goals` of inverse control, `in_std` is residual over std, a coordinate
+    without a goal has null, and turns are counted from the goal; its `actuators` say
+    whether they are `commanded`. Scores and differences of models are squares in units
+    of the noise; `best` is null if no model predicts everything.
+
+    Args:
+        result: The result.
+        name: Its name; by default its kind.
+        assessment: That of a calibration, if known already.
+        ranking: Candidates that are ranked beside an `Identifiability`.
+        timing_s: Wall times of further parts [s].
+        made: What it was computed from and with; a calibration knows that, of models
+            that are compared by their names.
+        directory: The folder that paths of files are relative to.
     """
-    # Imported here, as pydantic takes a third of a second to load, often for nothing.
-    from softcal_jax.export.result_file import ResultFile
+    times = {**(timing_s or {})}
+    match result:
+        case CalibrationResult():
+            kind, assessment = "result/2", assessment or assess(result)
+            content = _calibration(result, assessment)
+            settings = {"calibration": result.settings, "newton": result.newton}
+            settings["noise"] = result.uncertainty.noise
+            made = Made(result.model, settings, result.source)
+            times = result.timing_s | times
+        case SimulationResult():
+            kind, content = "simulation/1", _simulation(result)
+            made = made or Made(result.model, {})
+        case DesignResult():
+            kind = "design/1"
+            content = {**_simulation(bodies_of(result)), "design": _design(result)}
+        case InverseResult() | TrajectoryResult():
+            points = [result] if isinstance(result, InverseResult) else result.points
+            met = all(point.met for point in points)
+            kind, content = "inverse/1", {"met": met, "points": [*map(_point, points)]}
+            made = made or Made(points[0].model, {})
+        case ModelComparison():
+            kind, content = "comparison/1", _comparison(result)
+            made = made or {}
+        case _:
+            kind, content = "identifiability/3", _outlook(result, ranking)
+    return plain(
+        {
+            "format": f"softcal_jax.{kind}",
+            "name": name or kind.partition("/")[0].replace("result", "calibration"),
+            **made_dict(made, directory),
+            **content,
+            "timing_s": times,
+        }
+    )
 
-    assessment = assessment or assess(result)
-    content = {
-        "format": RESULT_FORMAT,
-        "name": name,
-        "converged": bool(result.converged),
-        "source": source_dict(result.source, directory),
-        **pick(result, "parameters intervals configurations history"),
+
+def _calibration(result: CalibrationResult, assessment: Assessment) -> dict[str, Any]:
+    with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
+        said = plain(result)
+    return {
+        **said,
         "solver": solver_dict(result.model),
-        "settings": {
-            "calibration": result.settings,
-            "newton": result.newton,
-            "noise": result.uncertainty.noise,
-        },
-        **pick(result, "uncertainty noise checks starts mistakes notes"),
         "budget": budget_dict(result.budget),
         "assessment": assessment,
         "identifiability": assessment.identifiability,
-        "versions": versions(result.model),
-        "timing_s": {**result.timing_s, **(timing_s or {})},
     }
-    with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
-        file = ResultFile.model_validate(content)
-    return file.model_dump(exclude_unset=True)
 
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
-    """Convert an error budget to a dictionary, see `result_file.BudgetEntry`."""
+    """Convert an error budget to a dictionary, in SI units."""
     by_cause, total = budget.by_cause(), budget.standard_errors
     return plain(
         {
@@ -96,84 +144,50 @@ def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
     )
 
 
-def simulation_dict(
-    result: SimulationResult,
-    *,
-    name: str = "simulation",
-    timing_s: Mapping[str, float] | None = None,
-    made: Made | None = None,
-    directory: str | Path = ".",
+def _outlook(
+    result: Identifiability | Ranking, ranking: Ranking | None
 ) -> dict[str, Any]:
-    """Convert a forward simulation to the content of `simulation.json`.
-
-    Keys of `configurations` are attributes of `ConfigurationResult`, with points as
-    `markers`, other readings as `effectors` and `robot` as `RobotEntry`. Where there is
-    no equilibrium, positions and displacement are null, and `outcome` says why. Those
-    that were measured say how far they are off.
-    """
-    return plain(
-        {
-            "format": "softcal_jax.simulation/1",
-            "name": name,
-            "converged": result.converged,
-            **made_dict(made or Made(result.model, {}), directory),
-            "configurations": [_simulated(c) for c in result.configurations],
-            "doubts": result.doubts,
-            "solver": solver_dict(result.model),
-            "timing_s": timing_s or {},
-        }
-    )
-
-
-def outlook_dict(
-    outlook: Identifiability | None,
-    ranking: Ranking | None,
-    *,
-    name: str = "identifiability",
-    timing_s: Mapping[str, float] | None = None,
-    made: Made | None = None,
-    directory: str | Path = ".",
-) -> dict[str, Any]:
-    """Build the content of `identifiability.json`.
-
-    `identifiability` is as in `result.json`, null without configurations; `ranking` is
-    null without candidates. Candidates have the attributes of `Gain`, the best first.
-    """
-    from softcal_jax.export.result_file import IDENTIFIABILITY
-
+    outlook = None if isinstance(result, Ranking) else result
+    ranking = result if isinstance(result, Ranking) else ranking
     ranked = ranking and {
         "candidates": ranking.gains,
         "reached": ranking.reached,
-        "unranked": ranking.unranked,
+        "unranked": [
+            {"name": name, "reason": reason}
+            for name, reason in ranking.unranked.items()
+        ],
     }
-    return plain(
-        {
-            "format": "softcal_jax.identifiability/3",
-            "name": name,
-            **made_dict(made, directory),
-            "identifiability": outlook and IDENTIFIABILITY.entry(outlook),
-            "budget": outlook and outlook.budget and budget_dict(outlook.budget),
-            "ranking": ranked,
-            "timing_s": timing_s or {},
-        }
-    )
+    budget = outlook and outlook.budget and budget_dict(outlook.budget)
+    return {"identifiability": outlook, "budget": budget, "ranking": ranked}
+
+
+def bodies_of(result: DesignResult) -> SimulationResult:
+    """Return the equilibria of a design, as those of a simulation."""
+    posed = [replace(pose, role="design") for pose in result.fit.configurations]
+    return SimulationResult(result.fit.model, tuple(posed))
+
+
+def _simulation(result: SimulationResult) -> dict[str, Any]:
+    return {
+        **pick(result, "converged doubts"),
+        "configurations": [_simulated(c) for c in result.configurations],
+        "solver": solver_dict(result.model),
+    }
 
 
 def _simulated(result: ConfigurationResult) -> dict[str, Any]:
-    from softcal_jax.export.result_file import RobotEntry
-
     entry = pick(
         result,
         "name role converged outcome newton_steps load_steps residual rounding "
         "at_rounding min_det_F largest_displacement_mm rms_after_mm motion_mm",
     )
-    point = "name at_rest_mm measured_mm simulated_mm"
-    entry["markers"] = [pick(p, point) for p in result.points]
-    other = "name unit is_turn measured simulated"
-    entry["effectors"] = [pick(e, other) for e in result.others]
-    entry["robot"] = None
-    if result.robot is not None:
-        entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
+    entry["markers"] = [
+        pick(e, "name at_rest_mm measured_mm simulated_mm") for e in result.points
+    ]
+    entry["effectors"] = [
+        pick(e, "name unit is_turn measured simulated") for e in result.others
+    ]
+    entry["robot"] = result.robot
     if result.role == "simulation":  # nothing was measured
         entry |= {"rms_after_mm": None, "motion_mm": None}
     if not result.converged:
@@ -196,80 +210,13 @@ def solver_dict(model: Model) -> dict[str, Any]:
     }
 
 
-def comparison_dict(
-    comparison: ModelComparison,
-    *,
-    name: str = "comparison",
-    timing_s: Mapping[str, float] | None = None,
-    made: Mapping[str, Made] | None = None,
-    directory: str | Path = ".",
-) -> dict[str, Any]:
-    """Build the content of `comparison.json`.
-
-    `models`, the best first, their `folds` and the `differences` from the first have
-    attributes of `ModelScore`, `FoldScore` and `PairedDifference`, lengths in mm (_mm);
-    scores and differences are squares in units of the noise. `best` is null if no model
-    predicts everything. `sources` and `settings` are by model, in the order of `made`.
-    """
-    by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
+def _comparison(comparison: ModelComparison) -> dict[str, Any]:
     best = comparison.best
-    scored = (
-        "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
-        "fit_noise_rms fit_failure verdict"
-    )
-    fold = "held_out rms_mm noise_rms fit_rms_mm failure"
-    return plain(
-        {
-            "format": "softcal_jax.comparison/1",
-            "name": name,
-            "sources": {model: of["source"] for model, of in by_model.items()},
-            "settings": {model: of["settings"] for model, of in by_model.items()},
-            "versions": {
-                k: v for of in by_model.values() for k, v in of["versions"].items()
-            },
-            "verdict": comparison.verdict,
-            "best": best and best.name,
-            "undecided": comparison.undecided,
-            "level": LEVEL_OF_COMPARISON,
-            "models": [
-                {**pick(m, scored), "folds": [pick(one, fold) for one in m.folds]}
-                for m in comparison.models
-            ],
-            "differences": [
-                pick(d, "name difference standard_error half_width n told_apart")
-                for d in comparison.differences
-            ],
-            "timing_s": timing_s or {},
-        }
-    )
-
-
-def inverse_dict(
-    result: InverseResult | TrajectoryResult,
-    *,
-    name: str = "inverse",
-    timing_s: Mapping[str, float] | None = None,
-    made: Made | None = None,
-    directory: str | Path = ".",
-) -> dict[str, Any]:
-    """Build the content of `inverse.json`, in SI and radians.
-
-    `points` has one entry for each goal of a trajectory, else one, with the attributes
-    of `InverseResult`. In `goals`, `in_std` is residual over std, a coordinate without
-    a goal has null, and turns are counted from the goal; `actuators` have the
-    attributes of `ActuatorState` and whether they are `commanded`.
-    """
-    points = [result] if isinstance(result, InverseResult) else result.points
-    return plain(
-        {
-            "format": "softcal_jax.inverse/1",
-            "name": name,
-            "met": all(point.met for point in points),
-            **made_dict(made or Made(points[0].model, {}), directory),
-            "points": [_point(point) for point in points],
-            "timing_s": timing_s or {},
-        }
-    )
+    return {
+        **pick(comparison, "verdict undecided models differences"),
+        "best": best and best.name,
+        "level": LEVEL_OF_COMPARISON,
+    }
 
 
 def _point(result: InverseResult) -> dict[str, Any]:
@@ -305,4 +252,19 @@ def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
         "residual": asked(fit.residual),
         "std": effector.std,
         "in_std": asked(fit.in_std),
+    }
+
+
+def _design(result: DesignResult) -> dict[str, Any]:
+    goal = "configuration name met error expected interval hangs_on share"
+    return {
+        **pick(result, "met verdict=headline reasons values robust error expected"),
+        "foam": None if result.foam is None else result.foam.infill,
+        "commands": {
+            c.name: {name: imposed.value for name, imposed in c.actuation.items()}
+            for c in result.configurations
+        },
+        "goals": [pick(one, goal) for one in result.goals],
+        "peaks": [vars(peak) for peak in result.peaks],
+        "alternatives": {a.name: a.error for a in result.alternatives},
     }

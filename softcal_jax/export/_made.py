@@ -15,30 +15,71 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._process import cpu_name, installed_version
-from softcal_jax.calibration import ProjectSource, SourceFile
-from softcal_jax.equilibrium import Model
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    CorrelatedNoise,
+    HistoryEntry,
+    LeftOut,
+    MultiStartResult,
+    ProjectSource,
+    ResidualChecks,
+    SourceFile,
+)
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.equilibrium import BodyPlace, Model, RobotState
+from softcal_jax.identifiability import Assessment, Identifiability, Prediction
+from softcal_jax.inference import Uncertainty
+from softcal_jax.layouts import FoldScore, ModelScore, PairedDifference
 
-_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
+KEYS: dict[type, str] = {
+    CalibrationResult: "converged parameters intervals configurations history "
+    "uncertainty noise checks starts mistakes notes",
+    ConfigurationResult: "name role rms_before_mm rms_after_mm motion_mm "
+    "rms_after_percent_of_motion=rms_share markers=points effectors=others robot "
+    "newton_steps residual rounding at_rounding min_det_F",
+    HistoryEntry: "step cost lambda_p step_bound accepted kkt_residual newton_steps "
+    "values noise_level seconds rms_mm",
+    Uncertainty: "noise noise_scale degrees_of_freedom chi_squared covariance "
+    "correlation",
+    CorrelatedNoise: "jitter share offset_mm",
+    ResidualChecks: "reasons agreement lack_of_fit recordings level probability "
+    "left_out",
+    LeftOut: "name rms_mm expected_mm motion_mm probability by_scatter",
+    MultiStartResult: "names starts values cost steps converged optima second_best "
+    "missed",
+    Assessment: "outcome contradicted reasons misfit_probability predictions held",
+    Prediction: "name role std_mm",
+    Identifiability: "verdict n_data precision parameters informed directions "
+    "covariance correlation conditioning",
+    RobotState: "rigid_bodies=bodies actuators reactions contacts",
+    BodyPlace: "name state position_mm translation_mm rotation_vector",
+    ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
+    "fit_noise_rms fit_failure verdict folds",
+    FoldScore: "held_out rms_mm noise_rms fit_rms_mm failure",
+    PairedDifference: "name difference standard_error half_width n told_apart",
+}
+"""Keys of the classes that results are made of, by attributes; of others, all fields.
 
+One in _mm is converted from metres, one in percent from a share; `key=attribute` gives
+an attribute another name.
+"""
 
-def pick(owner: object, names: str) -> dict[str, Any]:
-    """Return some attributes by name; one that ends in _mm is converted from metres."""
-    picked = {}
-    for name in names.split():
-        metres = name.removesuffix("_mm")
-        value = getattr(owner, metres)
-        picked[name] = value if metres == name else 1e3 * np.asarray(value)
-    return picked
+POINT = "name measured_mm simulated_before_mm simulated_mm residual_mm"
+OTHER = "name unit is_turn measured simulated_before simulated residual"
+"""Keys of effectors: of points, and of what is no point."""
 
 
 def plain(value: Any) -> Any:
-    """Convert modules to dictionaries, arrays to lists, and non-finite numbers to None.
+    """Convert records to dictionaries, arrays to lists, non-finite numbers to None.
 
-    NumPy numbers become those of Python.
+    Keys of records are `KEYS`, or else all fields. NumPy numbers become Python's.
     """
+    if isinstance(value, EffectorRecord):
+        return plain(pick(value, POINT if value.quantity == "point" else OTHER))
     if dataclasses.is_dataclass(value):
-        names = [field.name for field in dataclasses.fields(value)]
-        value = {name: getattr(value, name) for name in names}
+        every = " ".join(field.name for field in dataclasses.fields(value))
+        value = pick(value, KEYS.get(type(value), every))
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic | jax.Array):
@@ -46,6 +87,21 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def pick(owner: object, names: str) -> dict[str, Any]:
+    """Return some attributes, by keys like those of `KEYS`."""
+    picked = {}
+    for name in names.split():
+        key, _, attribute = name.partition("=")
+        value = getattr(owner, attribute or key.removesuffix("_mm"))
+        if key.endswith("_mm") or "_percent_" in key:
+            value = (1e3 if key.endswith("_mm") else 1e2) * np.asarray(value)
+        picked[key] = value
+    return picked
+
+
+_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -88,11 +144,21 @@ class Made(Module):
     source: ProjectSource | None = None
 
 
-def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
+def made_dict(
+    made: Made | Mapping[str, Made] | None, directory: str | Path = "."
+) -> dict[str, Any]:
     """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`, for results in a folder), `settings`, `versions`.
+    Keys: `source` (see `source_dict`, for results in a folder), `settings`, `versions`;
+    of several models by their names, and `sources`.
     """
+    if isinstance(made, Mapping):
+        each = {model: made_dict(of, directory) for model, of in made.items()}
+        of_all = lambda key: {model: of[key] for model, of in each.items()}
+        versions_of = (of["versions"].items() for of in each.values())
+        versions_of_all = dict(pair for pairs in versions_of for pair in pairs)
+        both = {"sources": of_all("source"), "settings": of_all("settings")}
+        return {**both, "versions": versions_of_all}
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
     return {
@@ -105,7 +171,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert what results were made from, see `result_file.SourceEntry`."""
+    """Convert what results were made from, see `project`, `files` and `changes`."""
     if source is None:
         return None
     folder = source.project.path.parent

@@ -13,16 +13,15 @@ from softcal_jax.identifiability._proposals import proposals as proposals
 from softcal_jax.identifiability._ranking import (
     Gain as Gain,
     Ranking as Ranking,
-    Unranked as Unranked,
     rank_configurations as rank_configurations,
 )
 from softcal_jax.identifiability._result import (
     Identifiability as Identifiability,
     ParameterOutlook as ParameterOutlook,
-    percent as percent,
 )
 from softcal_jax.identifiability._spread import (
     IDENTIFIABLE_UP_TO as IDENTIFIABLE_UP_TO,
+    LOST as LOST,
     WEAK_UP_TO as WEAK_UP_TO,
     Conditioning as Conditioning,
     Direction as Direction,

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import MISSED, CalibrationResult, ConfigurationResult
 from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
@@ -122,7 +122,9 @@ class Assessment(Result):
             errors = [p.std for p in self.predictions if p.role == role]
             if errors:
                 std = float(np.sqrt(np.mean(np.square(errors))))
-                off = f"{1e3 * std:.2g} mm" if np.isfinite(std) else "an unknown amount"
+                off = (
+                    readable(std, "about") if np.isfinite(std) else "an unknown amount"
+                )
                 parts.append(f"{off} in the {words} poses")
         if not parts:
             return ""
@@ -152,14 +154,6 @@ class Assessment(Result):
 
     def _words(self) -> str:
         return " ".join([self.headline, *self.reasons])
-
-    def __str__(self) -> str:
-        """The verdict and its reasons, then the identifiability report."""
-        lines = ["\n  ".join([self.headline, *self.reasons])]
-        lines += ["If the model is right:"] * self.contradicted
-        lines.append(str(self.identifiability))
-        lines += filter(None, [self.held_fixed, self.prediction])
-        return "\n".join(lines)
 
 
 def assess(result: CalibrationResult, *, precision: float | None = None) -> Assessment:

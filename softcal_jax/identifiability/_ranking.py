@@ -7,7 +7,6 @@ import numpy as np
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
@@ -62,30 +61,19 @@ class Gain(Module):
         return f"expected error of {self.parameter}: {ends[0]} -> {ends[1]}"
 
 
-class Unranked(Module):
-    """A candidate that cannot be ranked, and the reason."""
-
-    name: str
-    reason: str
-
-    def __str__(self) -> str:
-        """Format the name and the reason in one line."""
-        return f"Not ranked: {self.name!r}: {self.reason}."
-
-
 class Ranking(Result):
     """Candidates, the most informative first.
 
     Attributes:
         gains: One entry per candidate that can be ranked.
-        unranked: The others, with the reason.
+        unranked: Why the others, by name, cannot be ranked.
         reached: Which fewest candidates reach the target, or what else would, in a
             sentence.
         helps: Whether the best one lowers the errors.
     """
 
     gains: tuple[Gain, ...]
-    unranked: tuple[Unranked, ...]
+    unranked: dict[str, str]
     reached: str
     helps: bool
 
@@ -99,18 +87,8 @@ class Ranking(Result):
         best = self.gains[0]
         return f"Candidate {best.name!r} tells most: {best.effect}."
 
-    @property
-    def tabulated(self) -> TextTable:
-        """What each candidate would add, in texts."""
-        rows = [(gain.name, gain.effect) for gain in self.gains]
-        return text_table("Candidates", ("candidate", "what falls most"), rows)
-
-    def __str__(self) -> str:
-        """Describe the best candidate, tabulate all, and say what would suffice."""
-        table = self.tabulated.lines() if self.gains else []
-        return "\n".join(
-            [self.headline, *table, *map(str, self.unranked), self.reached]
-        )
+    def _words(self) -> str:
+        return self.headline
 
 
 def rank_configurations(
@@ -190,7 +168,7 @@ def rank_configurations(
     gains = sorted(map(with_these, usable), key=lambda gain: gain.cost)
     return Ranking(
         gains=tuple(gains),
-        unranked=tuple(Unranked(n, reason) for n, reason in reasons.items() if reason),
+        unranked={name: reason for name, reason in reasons.items() if reason},
         reached=_reached(with_these, usable, f"{100.0 * precision:.3g} %"),
         helps=bool(gains) and gains[0].cost < nothing.cost,
     )

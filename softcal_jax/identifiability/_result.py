@@ -5,20 +5,15 @@ import math
 import numpy as np
 
 from softcal_jax._module import Module, Result
-from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._spread import (
-    LOST,
     WEAK_UP_TO,
     Conditioning,
     Direction,
     Spread,
     Verdict,
 )
-from softcal_jax.inference import BLIND_FROM, ErrorBudget
-
-MOST_SHOWN = 8  # most blind directions that are listed; the others are only counted
+from softcal_jax.inference import ErrorBudget
 
 
 class ParameterOutlook(Module):
@@ -118,15 +113,6 @@ class Identifiability(Result):
         )
 
     @property
-    def tabulated(self) -> TextTable:
-        """What is known of each parameter, in texts."""
-        head = ("parameter", "value", "standard error", "target", "verdict")
-        if self.has_prior:
-            head = (*head[:3], "from the data alone", *head[3:])
-        rows = [_row(p, self.has_prior) for p in self.parameters]
-        return text_table("Predicted standard errors", head, rows)
-
-    @property
     def advice(self) -> tuple[str, ...]:
         """What to do, in sentences; empty if nothing needs to be done."""
         if self.n_data == 0:
@@ -147,30 +133,8 @@ class Identifiability(Result):
             "parameters.",
         )
 
-    def __str__(self) -> str:
-        """Format the verdict, the parameters, blind directions and what to do."""
-        n_data, n_p = self.n_data, self.n_parameters
-        lines = [self.headline, *self.tabulated.lines(), self.scale]
-        if self.budget is not None and n_data:
-            lines += str(self.budget).splitlines()
-        worst_first = self.blind[::-1]
-        if worst_first:
-            lines.append(
-                f"The data leave {len(worst_first)} of {n_p} "
-                f"direction{'s' * (n_p != 1)} undetermined (standard error / target):"
-            )
-            shown = worst_first[:MOST_SHOWN]
-            lines += [f"  {d.words} ({percent(d.ratio)})" for d in shown]
-            if len(worst_first) > MOST_SHOWN:
-                lines.append(f"  and {len(worst_first) - MOST_SHOWN} more.")
-        if self.has_prior:
-            lines.append(
-                f"The data determine {self.informed} of {n_p} "
-                f"direction{'s' * (n_p != 1)} better than the prior."
-            )
-        if n_data:
-            lines += str(self.conditioning).splitlines()
-        return "\n".join([*lines, *self.advice])
+    def _words(self) -> str:
+        return self.headline
 
     @property
     def scale(self) -> str:
@@ -183,32 +147,3 @@ class Identifiability(Result):
         if self.has_prior:
             text += " A stated prior counts as a measurement."
         return text
-
-
-def _row(p: ParameterOutlook, has_prior: bool) -> tuple[str, ...]:
-    factor, unit = readable_unit([p.value], p.unit)
-
-    def shown(value: float, digits: int) -> str:
-        if math.isinf(value):
-            return "blind"
-        return f"{number(value * factor, digits)} {unit}".rstrip()
-
-    error = shown(p.standard_error, 3)
-    if p.relative is not None and p.relative > BLIND_FROM:
-        error = "blind"
-    elif p.relative is not None:
-        error += f" ({number(100 * p.relative, 2)} %)"
-    alone = (shown(p.data_only, 3),) if has_prior else ()
-    return (p.name, shown(p.value, 4), error, *alone, shown(p.asked, 3), p.verdict)
-
-
-def percent(ratio: float) -> str:
-    """Write a standard error over the asked one, "blind" if it is far beyond."""
-    return f"{number(100.0 * ratio)} %" if ratio <= LOST else "blind"
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Format a number with a few digits, without an exponent where none is needed."""
-    if 10.0**digits <= abs(value) < 1e6:
-        return f"{value:.0f}"
-    return f"{value:.{digits}g}"

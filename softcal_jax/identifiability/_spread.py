@@ -51,15 +51,14 @@ class Conditioning(Module):
     condition_W_ep_W_pp: float
 
     def __str__(self) -> str:
-        """Condition numbers and singular values, in two lines."""
+        """Condition numbers, in one line."""
         numbers = {
             "W_ep in noise units": self.condition_weighted,
             "W_ep": self.condition_W_ep,
             "W_ep W_pp^-1": self.condition_W_ep_W_pp,
         }
         shown = [f"{k} {v:.3g}" for k, v in numbers.items() if not np.isnan(v)]
-        values = " ".join(f"{s:.3g}" for s in self.singular_values)
-        return f"Condition: {', '.join(shown)}.\nSingular values: {values}."
+        return f"Condition: {', '.join(shown)}."
 
 
 def conditioning(

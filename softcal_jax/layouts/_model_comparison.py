@@ -7,8 +7,8 @@ from scipy.special import stdtrit
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax._text_table import TextTable, or_dash, text_table
 from softcal_jax._typing import HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.identifiability import Identifiability
 
 LEVEL_OF_COMPARISON = 0.95
@@ -173,11 +173,11 @@ class ModelComparison(Result):
         best = self.best
         if best is None:
             return "No model predicts every configuration, so none can be preferred."
-        mm = 1e3 * best.held_out_rms
+        size = readable_values([best.held_out_rms], "m", digits=3) + ", "
         first = (
             f"{best.name!r} has the smallest held-out error: "
-            f"{f'{mm:.3g} mm, ' * bool(np.isfinite(mm))}{best.held_out_noise_rms:.2f} "
-            "times the noise."
+            f"{size * bool(np.isfinite(best.held_out_rms))}"
+            f"{best.held_out_noise_rms:.2f} times the noise."
         )
         rivals = [model for model in self.models[1:] if not model.failed]
         close = [model for model in rivals if model.name in self.undecided]
@@ -194,10 +194,6 @@ class ModelComparison(Result):
             text += f" Of these, {fewest.name!r} has the fewest parameters."
         return text
 
-    def __str__(self) -> str:
-        """Write the verdict, a table, and the folds that failed."""
-        return "\n".join([self.verdict, *self.tabulated.lines(), *self.failures])
-
     @property
     def failures(self) -> list[str]:
         """Which fits failed and why, one sentence each."""
@@ -213,32 +209,8 @@ class ModelComparison(Result):
                 )
         return lines
 
-    @property
-    def tabulated(self) -> TextTable:
-        """A table of how well each model predicts."""
-        head = ("model", "parameters", "held-out error [mm]", "error / noise")
-        head += ("excess over best [noise^2]", "fit [mm]", "failed folds")
-        rows = []
-        for model, worse in zip(self.models, (None, *self.differences), strict=True):
-            failed = f"{len(model.failed)} of {len(model.folds)}"
-            rows.append(
-                (
-                    model.name,
-                    str(model.n_parameters),
-                    or_dash(1e3 * model.held_out_rms, ".4g"),
-                    or_dash(model.held_out_noise_rms, ".2f"),
-                    _plus_minus(worse.difference, worse.half_width) if worse else "-",
-                    or_dash(1e3 * model.fit_rms, ".4g"),
-                    failed if model.failed else "none",
-                )
-            )
-        return text_table("Models", head, rows)
-
-
-def _plus_minus(value: float, error: float) -> str:
-    if np.isnan(value):
-        return "-"
-    return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
+    def _words(self) -> str:
+        return self.verdict
 
 
 def root_mean_square(values: Sequence[float] | HostArray) -> float:

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from softcal_jax._module import Module
 from softcal_jax._typing import HostArray
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import CalibrationResult, build_problem
 from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
@@ -66,15 +66,11 @@ class Mistake(Module):
 
     def __str__(self) -> str:
         """Write what the change would do, in a sentence."""
-        before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
-        unit = "mm"
-        if np.isnan(before):
-            before, after = self.errors_before, self.errors_after
-            unit = "standard deviations"
-        return (
-            f"{self.change} would bring the residuals from {before:.2g} {unit} to "
-            f"{after:.2g} {unit}."
-        )
+        sizes = (readable(x, "about") for x in (self.rms_before, self.rms_after))
+        if np.isnan(self.rms_before):
+            errors = self.errors_before, self.errors_after
+            sizes = (f"{error:.2g} standard deviations" for error in errors)
+        return f"{self.change} would bring the residuals from {' to '.join(sizes)}."
 
 
 def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:

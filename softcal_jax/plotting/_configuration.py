@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
@@ -103,11 +104,12 @@ _ROLES = {
 def motion_words(fit: ConfigurationResult) -> str:
     """Say how far the simulated markers are off, or how far a simulated body moves."""
     if fit.role == "simulation":
-        return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
+        moved = readable(fit.largest_displacement, "distance")
+        return f"simulated; moves by up to {moved}"
     if not any(point.seen.any() for point in fit.points):
         return "no markers"
     none = "no equilibrium found"
-    size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else none
+    size = lambda rms: readable(rms, "distance") if math.isfinite(rms) else none
     text = size(fit.rms_after)
     if fit.role in ("design", "command"):
         return f"rms distance of the markers from their goals: {text}"
@@ -115,7 +117,7 @@ def motion_words(fit: ConfigurationResult) -> str:
         text = f"{size(fit.rms_before)} before, {text} after"
     text = f"rms residual of the markers: {text}"
     if math.isfinite(fit.rms_share):
-        text += f" ({100 * fit.rms_share:.1f} % of their motion)"
+        text += f" ({readable(fit.rms_share, 'share')} of their motion)"
     if math.isfinite(fit.turn_after):
         text += f"; orientations: {math.degrees(fit.turn_after):.2f} deg"
     return text

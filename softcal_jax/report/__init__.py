@@ -1,9 +1,12 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
-from softcal_jax.report._goals import (
-    design_tables as design_tables,
-    inverse_tables as inverse_tables,
+from softcal_jax._tree import (
+    Chart as Chart,
+    Column as Column,
+    Section as Section,
+    Table as Table,
 )
+from softcal_jax.report._console import console as console, text as text
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,
@@ -18,27 +21,21 @@ from softcal_jax.report._outline import (
     outline as outline,
     roles_of as roles_of,
 )
-from softcal_jax.report._pages import notebook_html as notebook_html
-from softcal_jax.report._sweep_page import (
+from softcal_jax.report._sections import (
+    calibration_sections as calibration_sections,
+    notebook_html as notebook_html,
+    outlook_sections as outlook_sections,
+    sections as sections,
+)
+from softcal_jax.report._sweep import (
     check_sweep_page as check_sweep_page,
+    sweep_sections as sweep_sections,
     write_sweep as write_sweep,
 )
-from softcal_jax.report._tables import (
-    model_words as model_words,
-    simulation_tables as simulation_tables,
-    summary_table as summary_table,
-)
+from softcal_jax.report._tables import model_words as model_words
 from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer
-from softcal_jax.report._verdict import (
-    answer_of as answer_of,
-    held_out_sentences as held_out_sentences,
-)
+from softcal_jax.report._verdict import held_out_sentences as held_out_sentences
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
-    write_comparison as write_comparison,
-    write_design as write_design,
-    write_identifiability as write_identifiability,
-    write_inverse as write_inverse,
     write_results as write_results,
-    write_simulation as write_simulation,
 )

@@ -8,22 +8,24 @@ import re
 import shlex
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any, NamedTuple
+from typing import Any
 
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._text_table import TextTable, text_table
+from softcal_jax._tree import Chart, Section, Table, listed_texts
 from softcal_jax.plotting import PictureStyle
-from softcal_jax.report import _verdict
 
-MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
-CHART = PictureStyle(width_mm=150.0, font_size=10.0)
 REPEATED = "repeated"  # folder that the command to repeat a run writes to
+_CHART, _SMALL = (PictureStyle(width, font_size=10.0) for width in (150.0, 100.0))
+_WIDE = 2  # most charts of a section that are as wide as the page
 _LARGE = 3  # most values that are written in large type
+_MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
+_COMMANDS = "repeat"  # a section whose list is one of commands
+_MARKED = "A triangle marks values that should not be used as they are."
 _KINDS = {
     ".vtu": "for ParaView",
     ".pvd": "all configurations for ParaView",
@@ -47,32 +49,6 @@ class Html(str):
     """A text that is HTML already; any other text is escaped where it enters a page."""
 
     __slots__ = ()
-
-
-Part = str | TextTable
-"""What a page shows: HTML, a table, or a sentence."""
-
-
-class Section(NamedTuple):
-    """A part of a page with a heading; links lead to its id.
-
-    A `folded` one shows only its heading until it is opened, and what is `viewed` hides
-    where the view of the robot runs.
-    """
-
-    id: str
-    title: str
-    content: Sequence[Part]
-    folded: bool = False
-    viewed: bool = False
-
-    @property
-    def html(self) -> Html:
-        head, more = node("h2", self.title), joined(parts_html(self.content))
-        if self.folded:
-            return node("details", node("summary", head), more, id=self.id)
-        kind = {"class_": "viewed"} if self.viewed else {}
-        return node("section", head, more, id=self.id, **kind)
 
 
 def node(name: str, *content: str, **attributes: str) -> Html:
@@ -117,40 +93,59 @@ def joined(parts: Iterable[Html]) -> Html:
     return Html("\n".join(parts))
 
 
+def section_html(section: Section) -> Html:
+    """Write a section: texts, tables, charts."""
+    texts = listed_texts(section.text)
+    alone = [sentence for sentence, is_item in texts if not is_item]
+    items = [sentence for sentence, is_item in texts if is_item]
+    if len(alone) > 1 and not items:
+        alone, items = [], alone
+    content = [node("p", sentence) for sentence in alone]
+    if section.key == _COMMANDS:
+        content += [node("pre", node("code", line)) for line in items]
+    else:
+        content.append(bullets(items))
+    content += [table_html(table) for table in section.tables if table]
+    style = _CHART if len(section.charts) <= _WIDE else _SMALL
+    drawn = [chart_html(chart, style) for chart in section.charts]
+    content += drawn if style is _CHART else [node("div", *drawn, class_="charts")]
+    return framed(section, content)
+
+
+def framed(section: Section, content: Iterable[Html]) -> Html:
+    """Write the heading of a section around its content."""
+    head, more = node("h2", section.title), joined(content)
+    if section.folded:
+        return node("details", node("summary", head), more, id=section.key)
+    return node("section", head, more, id=section.key)
+
+
 def bullets(lines: Iterable[str]) -> Html:
     """Make a list of sentences, or nothing if there are none."""
     items = [node("li", line) for line in lines]
     return node("ul", *items) if items else Html("")
 
 
-def parts_html(parts: Iterable[Part]) -> list[Html]:
-    """Write parts: a sentence as a paragraph, and an empty one not at all."""
-    drawn = (table_html(p) if isinstance(p, TextTable) else p for p in parts)
-    shown = (part for part in drawn if part or isinstance(part, Html))
-    return [p if isinstance(p, Html) else node("p", p) for p in shown]
-
-
-def table_html(table: TextTable) -> Html:
+def table_html(table: Table) -> Html:
     """Write a table that scrolls by itself where the page is too narrow for it."""
-    kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
+    words = [k == 0 or c.holds_words for k, c in enumerate(table.columns)]
+    kinds = ["w" if is_words else "n" for is_words in words]
     heads = zip(table.columns, kinds, strict=True)
-    head = (node("th", column, scope="col", class_=kind) for column, kind in heads)
-    rows = []
-    for first, *others in table.rows:
-        cells = zip(others, kinds[1:], strict=True)
-        drawn = (node("td", c.text, class_=f"{kind} {c.tone}") for c, kind in cells)
-        rows.append(node("tr", node("th", first.text, scope="row"), *drawn))
+    head = (node("th", c.title, scope="col", class_=kind) for c, kind in heads)
+    tones = [c.tones or ["plain"] * len(c.values) for c in table.columns]
+    rows, marked = [], False
+    for texts, toned in zip(table.rows(), zip(*tones, strict=True), strict=True):
+        (first, _, _), *others = zip(texts, toned, kinds, strict=True)
+        cells = (node("td", t, class_=f"{kind} {tone}") for t, tone, kind in others)
+        rows.append(node("tr", node("th", first, scope="row"), *cells))
+        marked |= any(tone == "bad" and kind == "n" for _, tone, kind in others)
     parts = [node("caption", table.title)]
-    if any(table.columns):
+    if any(column.title for column in table.columns):
         parts.append(node("thead", node("tr", *head)))
     drawn = node("table", *parts, node("tbody", *rows))
     about = {"role": "region", "aria_label": table.title, "tabindex": "0"}
-    return node("div", drawn, class_="wide", **about)
-
-
-def facts(title: str, values: Mapping[str, str]) -> TextTable:
-    """Make a table of names and their values, without column headings."""
-    return text_table(title, ("", ""), values.items(), words=[""])
+    notes = (node("p", note) for note in (_MARKED * marked, table.note) if note)
+    return joined([node("div", drawn, class_="wide", **about), *notes])
 
 
 def picture(path: Path, alt: str) -> Html:
@@ -160,12 +155,13 @@ def picture(path: Path, alt: str) -> Html:
     return node("img", src=f"data:image/{kind};base64,{content}", alt=alt)
 
 
-def chart(plot: Callable[[Path], Any], what: str, caption: str) -> Html:
-    """Draw a chart of `plotting` into the page, with what it is in bold above it."""
+def chart_html(chart: Chart, style: PictureStyle = _CHART) -> Html:
+    """Draw a chart into the page, with what it is in bold above it."""
     with tempfile.TemporaryDirectory() as folder:
-        plot(path := Path(folder) / "chart.svg")
-        drawn = node("div", picture(path, what), class_="chart")
-    return figure(drawn, caption, title=what)
+        path = Path(folder) / "chart.svg"
+        chart.plot(path, style=style)
+        drawn = node("div", picture(path, chart.title), class_="chart")
+    return figure(drawn, chart.caption, title=chart.title)
 
 
 def figure(content: Html, caption: str, *, title: str = "") -> Html:
@@ -177,35 +173,35 @@ def figure(content: Html, caption: str, *, title: str = "") -> Html:
 def page(
     name: str,
     kind: str,
-    verdict: _verdict.RunVerdict,
-    sections: Sequence[Section],
+    tree: Sequence[Section],
     *,
     index: str,
     units: str = "SI and mm",
     script: str = "",
-    first: Html | None = None,
     robot: Html | None = None,
+    drawn: Mapping[str, Html] | None = None,
 ) -> str:
     """Write a whole page.
 
-    `kind` is what was done, like "Calibration". Sections without content are left out.
-    `index` is the file with the same numbers in `units`. `script` is the text of the
-    only script that the page may run. The page begins with what is `first`, which is by
-    default the verdict, beside a picture of the `robot`.
+    `kind` is what was done, like "Calibration". Sections without content are left out;
+    those without a title come first, beside a picture of the `robot`. `index` is the
+    file with the same numbers in `units`. `script` is the text of the only script that
+    the page may run. `drawn` are sections that were written already, by their keys.
     """
     policy = _POLICY
     if script:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
-    shown = [part for part in sections if any(part.content)]
+    ready = drawn or {}
+    shown = [s for s in tree if s.title and (s or s.key in ready)]
     links = (
-        node("li", node("a", part.title, href=f"#{part.id}"))
-        for part in shown
-        if not (part.folded or part.viewed)
+        node("li", node("a", section.title, href=f"#{section.key}"))
+        for section in shown
+        if not section.folded
     )
-    begins = _verdict_html(verdict) if first is None else first
+    first = joined(head_html([section for section in tree if not section.title]))
     if robot is not None:
-        begins = node("div", begins, node("div", robot), class_="first")
+        first = node("div", node("div", first), node("div", robot), class_="first")
     whole = template(
         "page.html",
         policy=policy,
@@ -213,9 +209,9 @@ def page(
         kind=kind,
         done=kind.lower(),
         style=Html(resource("page.css")),
-        first=begins,
+        first=first,
         links=links,
-        sections=(part.html for part in shown),
+        sections=(ready.get(s.key) or section_html(s) for s in shown),
         version=installed_version("softcal-jax"),
         when=time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
         units=units,
@@ -225,9 +221,11 @@ def page(
     return f"<!DOCTYPE html>\n{whole}\n"
 
 
-def output(verdict: _verdict.RunVerdict, content: Iterable[Part]) -> Html:
-    """Write what a cell of a notebook shows: a verdict, then the content."""
-    return fragment([_verdict_html(verdict), *parts_html(content)])
+def output(tree: Sequence[Section]) -> Html:
+    """Write what a cell of a notebook shows: all of a tree that is not folded."""
+    shown = [s for s in tree if s and s.title and not s.folded]
+    head = head_html([section for section in tree if not section.title])
+    return fragment([*head, *map(section_html, shown)])
 
 
 def fragment(content: Iterable[Html]) -> Html:
@@ -237,33 +235,41 @@ def fragment(content: Iterable[Html]) -> Html:
     return node("div", node("style", style), *content, class_="softcal", style=plain)
 
 
-def _verdict_html(verdict: _verdict.RunVerdict, most: int | None = None) -> Html:
-    """Write a verdict; reasons beyond the first `most` are folded."""
-    shown = verdict.reasons[:most]
-    said = [node("p", node("strong", verdict.sentence)), bullets(shown)]
-    if more := verdict.reasons[len(shown) :]:
+def head_html(head: Sequence[Section]) -> list[Html]:
+    """Write what a result begins with: its verdict, and values in large type.
+
+    Reasons beyond the first few are folded where there is more than a verdict.
+    """
+    most = _MOST_REASONS if len(head) > 1 else None
+    parts: list[Html] = []
+    for section in head:
+        if section.key == "verdict":
+            parts.append(_verdict_html(section, most))
+            continue
+        parts += [node("p", sentence) for sentence in section.text]
+        for table in filter(None, section.tables):
+            rows = table.rows()
+            values = (
+                node("div", node("dt", name), node("dd", value, node("small", more)))
+                for name, value, more in rows
+            )
+            size = "values" if len(rows) <= _LARGE else "values many"
+            parts.append(node("dl", *values, class_=size))
+            if table.note:
+                link = node("a", table.note, href="#parameters")
+                parts.append(node("p", link))
+    return [node("div", *parts, class_="answer")] if len(head) > 1 else parts
+
+
+def _verdict_html(verdict: Section, most: int | None) -> Html:
+    sentence, *reasons = verdict.text
+    shown = reasons[:most]
+    said = [node("p", node("strong", sentence)), bullets(shown)]
+    if more := reasons[len(shown) :]:
         summary = node("summary", f"and {len(more)} more")
         said.append(node("details", summary, bullets(more)))
-    head = node("h2", "Verdict")
-    return node("section", head, *said, class_=f"verdict {verdict.tone}")
-
-
-def answer_html(answer: _verdict.Answer) -> Html:
-    """Write the answer of a calibration, its values in large type."""
-    values = [
-        node("div", node("dt", name), node("dd", value, node("small", interval)))
-        for name, value, interval in answer.values[: _verdict.MOST_VALUES]
-    ]
-    size = "values" if len(answer.values) <= _LARGE else "values many"
-    content: list[Part] = [f"Possible mistake: {text}" for text in answer.mistakes]
-    content.append(node("dl", *values, class_=size))
-    left = len(answer.values) - _verdict.MOST_VALUES
-    if left > 0:
-        content.append(node("p", node("a", f"and {left} more", href="#parameters")))
-    content.append(_verdict_html(answer.verdict, _verdict.MOST_REASONS))
-    content += [*answer.held_out, f"Next: {answer.next_step}"]
-    content.append(node("p", answer.scope, class_="kind"))
-    return node("div", *parts_html(content), class_="answer")
+    tone = f"verdict {verdict.tone}"
+    return node("section", node("h2", "Verdict"), *said, class_=tone)
 
 
 def closing(
@@ -285,29 +291,27 @@ def closing(
     named = files or []
     if files is None and len(known) == len(every):
         named = [source["project"] for source in known]
-    content: list[Part]
-    content = ["This result was made in Python, so no command repeats it."]
+    text = ("This result was made in Python, so no command repeats it.",)
     if named:
         words = ["softcal", command, *(file["file"] for file in named), *options]
-        code = node("code", shlex.join([*words, "-o", out]))
-        content = ["In the folder of this page:", node("pre", code)]
+        text = "In the folder of this page:", shlex.join([*words, "-o", out])
+    tables = []
     for source in known if files is None else ():
-        if source["changes"]:
-            rows = [(key, repr(value)) for key, value in source["changes"].items()]
-            of = f" of {source['project']['file']}" if len(known) > 1 else ""
-            columns = "key of the project file", "value"
-            text = (
-                "Some values in the project file were overridden when it was loaded. "
-                "Set them in the file, or pass them to load_project(changes=...):"
-            )
-            content += [text, text_table(f"Changes{of}", columns, rows)]
+        rows = [(key, repr(value)) for key, value in source["changes"].items()]
+        of = f" of {source['project']['file']}" if len(known) > 1 else ""
+        heads = "key of the project file | value"
+        note = (
+            "These values of the project file were overridden when it was loaded. Set "
+            "them in the file, or pass them to load_project(changes=...)."
+        )
+        tables.append(Table.of(f"Changes{of}", heads, rows, note=note))
     read = [*(files or ()), *(file for source in known for file in _files_of(source))]
-    if read:
-        rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
-        content.append(text_table("Input files", ("file", "SHA-256"), rows))
+    rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
+    tables.append(Table.of("Input files", "file | SHA-256", rows))
+    made = "Settings, versions and times"
     return [
-        Section("repeat", "How to repeat this run", content, folded=True),
-        Section("made", "Settings, versions and times", _made(data), folded=True),
+        Section(_COMMANDS, "How to repeat this run", text, (*tables,), folded=True),
+        Section("made", made, (), tuple(_made(data)), folded=True),
     ]
 
 
@@ -319,7 +323,7 @@ def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
     return [project, *({**f, "file": place(f["file"])} for f in source["files"])]
 
 
-def _made(data: Mapping[str, Any]) -> list[Part]:
+def _made(data: Mapping[str, Any]) -> list[Table]:
     """Tabulate settings, versions, times and files."""
     parts = {
         "Settings": dict(_flat(data.get("settings", {}))),
@@ -328,9 +332,8 @@ def _made(data: Mapping[str, Any]) -> list[Part]:
         "Files": {name: _KINDS.get(Path(name).suffix, "") for name in data["files"]},
     }
     return [
-        facts(title, {name: str(value) for name, value in rows.items()})
+        Table.of(title, " | ", [(k, str(v)) for k, v in rows.items()])
         for title, rows in parts.items()
-        if rows
     ]
 
 

@@ -2,12 +2,13 @@
 
 import os
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import ValidationError
-from pydantic_core import from_json
+from pydantic_core import SchemaValidator, ValidationError, core_schema as cs, from_json
 
 from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
@@ -19,12 +20,41 @@ from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import RESULT_FORMAT, complete_results, solver_dict
-from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
 
 RESULT = "result.json"  # name of the file in a results folder
+
+
+def _record(optional: str = "", **fields: Any) -> Any:
+    """Return the schema of a JSON object with these keys, and others."""
+    field = lambda key, of: cs.typed_dict_field(
+        of, required=key not in optional.split()
+    )
+    return cs.typed_dict_schema({key: field(key, of) for key, of in fields.items()})
+
+
+_TEXT, _TRUTH, _NUMBER = cs.str_schema(), cs.bool_schema(), cs.float_schema()
+_END = cs.nullable_schema(_NUMBER)  # of what has none
+_FILE = _record(file=_TEXT, sha256=_TEXT)
+_CHANGES = cs.dict_schema(_TEXT, cs.any_schema())
+_SOURCE = _record(project=_FILE, files=cs.list_schema(_FILE), changes=_CHANGES)
+_PARAMETER = _record("lower upper", name=_TEXT, value=_NUMBER, lower=_END, upper=_END)
+_SIZE = cs.nullable_schema(cs.union_schema([_TEXT, cs.int_schema()]))
+_JUDGED = {"outcome": _TEXT, "contradicted": _TRUTH, "reasons": cs.list_schema(_TEXT)}
+_READ = _record(
+    format=_TEXT,
+    converged=_TRUTH,
+    source=cs.nullable_schema(_SOURCE),
+    parameters=cs.list_schema(_PARAMETER),
+    configurations=cs.list_schema(_record(name=_TEXT, rms_after_mm=_END)),
+    solver=cs.dict_schema(_TEXT, _SIZE),
+    budget=_record(covariance=cs.list_schema(cs.list_schema(_END))),
+    assessment=_record("outcome contradicted", **_JUDGED),
+    versions=cs.dict_schema(_TEXT, _TEXT),
+)
+"""What is read of a file, which has more."""
 
 
 class ResultError(ValueError):
@@ -124,7 +154,7 @@ def load_result(
     """
     path = result_path(path)
     data = _read(path)
-    source = data.source
+    source = data["source"]
     if source is None:
         raise ResultError(
             f"{path}: this calibration was made in Python, without a project file. "
@@ -133,14 +163,17 @@ def load_result(
             "project file, and calibrate that."
         )
     if project is None:
-        project = os.path.normpath(path.parent.resolve() / source.project.file)
+        project = os.path.normpath(path.parent.resolve() / source["project"]["file"])
     _check_unchanged(path, Path(project), source)
     # With `changes`, even empty ones, `load_project` does not warn a second time.
-    loaded = load_project(project, changes=source.changes)
+    loaded = load_project(project, changes=source["changes"])
     space = _checked_space(path, loaded, data)
-    values = {entry.name: entry.value for entry in data.parameters}
+    values = {entry["name"]: entry["value"] for entry in data["parameters"]}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    C = np.array(data.budget.covariance, float)
+    said = data["assessment"]
+    missed = {fit["name"]: fit["rms_after_mm"] for fit in data["configurations"]}
+    errors = {k: np.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
+    C = np.array(data["budget"]["covariance"], float)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -148,14 +181,11 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        estimate=Estimate(space, z, C, data.assessment.contradicted),
-        errors={
-            fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
-            for fit in data.configurations
-        },
-        converged=data.converged,
-        outcome=data.assessment.outcome,
-        doubts=tuple(data.assessment.reasons),
+        estimate=Estimate(space, z, C, said.get("contradicted", False)),
+        errors=errors,
+        converged=data["converged"],
+        outcome=said.get("outcome", "take with care"),
+        doubts=tuple(said["reasons"]),
     )
 
 
@@ -169,10 +199,10 @@ def result_path(path: str | os.PathLike[str]) -> Path:
 def load_values(path: str | os.PathLike[str]) -> dict[str, float]:
     """Load values alone, by name in SI units; project and mesh may have changed."""
     data = _read(result_path(path))
-    return {entry.name: entry.value for entry in data.parameters}
+    return {entry["name"]: entry["value"] for entry in data["parameters"]}
 
 
-def _read(path: Path) -> ResultFile:
+def _read(path: Path) -> dict[str, Any]:
     """Read and check the file."""
     check_file(path, "result file")
     try:
@@ -184,7 +214,7 @@ def _read(path: Path) -> ResultFile:
                 f"Its format is {kind!r}; expected {RESULT_FORMAT!r}: calibrate again, "
                 "or load it with the version that wrote it"
             )
-        data = ResultFile.model_validate_json(text, strict=True)
+        data: Any = SchemaValidator(_READ).validate_json(text, strict=True)
         _check_values(data)
     except ValueError as error:  # of JSON, UTF-8 and pydantic as well
         what = str(error)
@@ -194,7 +224,7 @@ def _read(path: Path) -> ResultFile:
         raise ResultError(
             f"{path}: expected {RESULT} as softcal calibrate writes it. {what}."
         ) from error
-    if not data.converged:
+    if not data["converged"]:
         warnings.warn(
             f"{path}: the calibration did not converge: do not use its values. Run it "
             "again with more steps, or see its notes.",
@@ -204,27 +234,28 @@ def _read(path: Path) -> ResultFile:
     return data
 
 
-def _check_values(data: ResultFile) -> None:
+def _check_values(data: Mapping[str, Any]) -> None:
     """Raise ValueError for values that no calibration gives."""
-    for p in data.parameters:
-        ordered = [x for x in (p.lower, p.value, p.upper) if x is not None]
-        off = np.diff(ordered) < -1e-9 * abs(p.value)  # it may lie on a bound
-        if not np.isfinite(p.value) or np.any(off):
-            bounds = f"its bounds {p.lower} and {p.upper}"
-            raise ValueError(f"The value of {p.name} is {p.value:g}, not in {bounds}")
-    n, C = len(data.parameters), data.budget.covariance
+    for p in data["parameters"]:
+        value, ends = p["value"], [p.get("lower"), p.get("upper")]
+        ordered = [x for x in (ends[0], value, ends[1]) if x is not None]
+        off = np.diff(ordered) < -1e-9 * abs(value)  # it may lie on a bound
+        if not np.isfinite(value) or np.any(off):
+            bounds = f"its bounds {ends[0]} and {ends[1]}"
+            raise ValueError(f"The value of {p['name']} is {value:g}, not in {bounds}")
+    n, C = len(data["parameters"]), data["budget"]["covariance"]
     if [len(row) for row in C] != [n] * n or any(
         (C[i][i] or 0.0) < 0 for i in range(n)
     ):
         raise ValueError(f"budget.covariance is none of {n} parameters")
 
 
-def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
+def _check_unchanged(path: Path, project: Path, source: Mapping[str, Any]) -> None:
     """Raise unless project, mesh and measurements are what they were."""
-    files = [(project, source.project.sha256)]
+    files = [(project, source["project"]["sha256"])]
     moved = "; if the project was moved, say where it is: load_result(..., project=)"
     if project.is_file():  # the files that it names are looked for beside it
-        files += [(project.parent / f.file, f.sha256) for f in source.files]
+        files += [(project.parent / f["file"], f["sha256"]) for f in source["files"]]
         moved = ""
     problems = ""
     for file, old in files:
@@ -240,20 +271,25 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
         )
 
 
-def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterSpace:
+def _checked_space(
+    path: Path, project: Project, data: Mapping[str, Any]
+) -> ParameterSpace:
     """Return the parameters, if they and the model are those of the result."""
-    names = [entry.name for entry in data.parameters]
+    names = [entry["name"] for entry in data["parameters"]]
     space = project.space
     problems = [
-        f"{key} was {data.solver.get(key)} and is {now}"
+        f"{key} was {data['solver'].get(key)} and is {now}"
         for key, now in solver_dict(project.model).items()
-        if key != "name" and data.solver.get(key) != now
+        if key != "name" and data["solver"].get(key) != now
     ]
     known = [] if space is None else space.names
     if known != names:
         problems.append(f"the parameters were {listed(names)} and are {listed(known)}")
     if problems or space is None:
-        before, now = data.versions.get("softcal_jax"), installed_version("softcal-jax")
+        before, now = (
+            data["versions"].get("softcal_jax"),
+            installed_version("softcal-jax"),
+        )
         raise ResultError(
             f"{path}: the project file {project.path} is the same, but what it makes "
             f"is not: {'; '.join(problems)}. Was the project changed in Python before "

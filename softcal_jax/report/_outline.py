@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._text_table import aligned
+from softcal_jax._text import aligned
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (

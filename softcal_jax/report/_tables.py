@@ -1,152 +1,121 @@
-"""What robots do and what a calibration found, in tables and sentences."""
+"""What robots do and what a calibration found, in tables."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.text import Text
 
-from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, or_dash, text_table
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._tree import Column, Table, Tone
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
+    MultiStartResult,
     ResidualChecks,
     SimulationResult,
 )
-from softcal_jax.configurations import EffectorRecord
-from softcal_jax.contact import ContactState
-from softcal_jax.equilibrium import ActuatorState, Model, RobotState
-from softcal_jax.export import readable_unit, readable_values
-from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
-from softcal_jax.report._verdict import TONES, listed_fits, value_of
+from softcal_jax.equilibrium import ActuatorState, Model
+from softcal_jax.identifiability import LOST, Assessment, Identifiability
+from softcal_jax.inference import ErrorBudget
+from softcal_jax.report._verdict import TONES, listed_fits, value_column
 
-MOST_DIRECTIONS = 6  # blind directions that are listed; the others are only counted
 MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
 MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
+MOST_OPTIMA = 5  # optima that are listed
 
 
-def simulation_tables(result: SimulationResult) -> list[TextTable]:
-    """Tabulate the outcome in every configuration, and what the robot does there."""
-    rows = []
-    for pose in result.configurations:
-        largest = pose.largest_displacement if pose.converged else math.nan
-        outcome = Cell(pose.outcome, "good" if pose.converged else "bad")
-        rows.append((pose.name, distance(largest), str(pose.newton_steps), outcome))
-    columns = "configuration", "largest displacement", "Newton steps", "outcome"
-    table = text_table("Simulation", columns, rows)
-    return [table, *robot_tables(result.configurations)]
+def simulation_table(result: SimulationResult) -> Table:
+    """Tabulate the outcome in every configuration."""
+    poses = result.configurations
+    largest = [c.largest_displacement if c.converged else None for c in poses]
+    found = map(attrgetter("name", "newton_steps", "outcome"), poses)
+    rows = [(name, u, *rest) for (name, *rest), u in zip(found, largest, strict=True)]
+    heads = "configuration | largest displacement [distance] | Newton steps | outcome"
+    tones: list[Tone] = ["good" if c.converged else "bad" for c in poses]
+    return Table.of("Simulation", heads, rows, about={"outcome": {"tones": tones}})
 
 
-def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
+def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
     """Tabulate the state of the robot, and effectors that are no points."""
+    robots = [(c.name, c.robot) for c in configurations if c.robot is not None]
+
+    def table(title: str, heads: str, part: str, values: Callable[..., Any]) -> Table:
+        rows = [
+            (pose, of.name, *values(of))
+            for pose, robot in robots
+            for of in getattr(robot, part)
+            if getattr(of, "state", "") != "absent"
+        ]
+        return Table.of(title, f"configuration | {heads}", rows)
+
+    size = lambda vector: float(np.linalg.norm(vector))
+    place = lambda b: (b.state, size(b.translation), size(b.rotation_vector))
+    felt = lambda c: (c.force, c.moment) if c.area else ("not touched", None)
+    areas = lambda c: (c.area, c.depth, c.sliding or None) if c.area else [None] * 3
+    actuators = table("Actuators", "actuator", "actuators", lambda _: ())
+    moved = actuator_columns([a for _, robot in robots for a in robot.actuators])
+    heads = "rigid body | state | displacement [m] | rotation [rad]"
+    ground = "of | force of the ground (x, y, z) [N]"
+    forces = "with | force on it (x, y, z) [N] | moment on it [N m]"
+    shares = "with | area [m2] | largest depth [m] | sliding [percent]"
+    tables = [
+        _effectors(configurations),
+        actuators._replace(columns=(*actuators.columns, *moved)),
+        table("Rigid bodies", heads, "bodies", place),
+        table("Reactions", ground, "reactions", lambda r: (r.force,)),
+        table("Contacts", forces, "contacts", felt),
+        table("Contact areas", shares, "contacts", areas),
+    ]
+    return [table for table in tables if table]
+
+
+def _effectors(configurations: Sequence[ConfigurationResult]) -> Table:
+    """Tabulate effectors that are no points; another table has the errors of turns."""
     roles = {result.role for result in configurations}
-    values = ["measured", "before", "after"]
+    shown = {"measured": "measured", "before": "simulated_before", "after": "simulated"}
     if roles == {"simulation"}:
-        values = ["simulated"]
+        shown = {"simulated": "simulated"}
     if "prediction" in roles:
-        values = ["measured", "simulated"]
+        shown = {"measured": "measured", "simulated": "simulated"}
     if "design" in roles:
-        values = ["goal", "reached"]
-    titles = {
-        "Other effectors": ["effector", *values],
-        "Actuators": ["actuator", "force or pressure", "displacement or growth"],
-        "Rigid bodies": ["rigid body", "state", "displacement", "rotation"],
-        "Reactions": ["of", "force of the ground (x, y, z)"],
-        "Contacts": ["with", "force on it (x, y, z)", "moment on it"],
-        "Contact areas": ["with", "area", "largest depth", "sliding"],
-    }
-    rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}
-    for result in configurations:
-        rows["Other effectors"] += _effector_rows(result, values)
-        robot = result.robot
-        if robot is None:
-            continue
-        for state in robot.actuators:
-            rows["Actuators"].append((result.name, state.name, *actuator_row(state)))
-        rows["Rigid bodies"] += _body_rows(result.name, robot)
-        for reaction in robot.reactions:
-            force = readable_values(list(reaction.force), "N")
-            rows["Reactions"].append((result.name, reaction.name, force))
-        for contact in robot.contacts:
-            name, felt = (result.name, contact.name), _felt(contact)
-            rows["Contacts"].append((*name, *felt[:2]))
-            rows["Contact areas"].append((*name, *felt[2:]))
-    return [
-        text_table(title, ("configuration", *columns), rows[title])
-        for title, columns in titles.items()
-        if rows[title]
+        shown = {"goal": "measured", "reached": "simulated"}
+    rows = [(c.name, e) for c in configurations for e in c.others]
+    rows = [row for row in rows if roles == {"simulation"} or not row[1].is_turn]
+
+    def value(effector: Any, key: str) -> Any:
+        values = getattr(effector, key)
+        if np.isnan(values).any():
+            return None
+        return np.linalg.norm(values) if effector.is_turn else values
+
+    cells = [
+        (
+            pose,
+            f"{e.name}{' (turn)' * e.is_turn}",
+            *(value(e, k) for k in shown.values()),
+        )
+        for pose, e in rows
     ]
+    heads = " | ".join(
+        ["configuration", "effector", *(f"{head} [*]" for head in shown)]
+    )
+    return Table.of("Other effectors", heads, cells, units=[e.unit for _, e in rows])
 
 
-def _effector_rows(
-    result: ConfigurationResult, values: Sequence[str]
-) -> Iterator[tuple[str, ...]]:
-    for effector in result.others:
-        if effector.is_turn and values != ["simulated"]:
-            continue  # another table shows the errors of turns
-        name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
-        vectors = {
-            "measured": effector.measured,
-            "goal": effector.measured,
-            "before": effector.simulated_before,
-        }
-        of_value = (vectors.get(value, effector.simulated) for value in values)
-        yield (result.name, name, *(_values(effector, v) for v in of_value))
-
-
-def _body_rows(pose: str, robot: RobotState) -> Iterator[tuple[str, ...]]:
-    for body in robot.bodies:
-        if body.state != "absent":
-            moved = readable_values([_length(body.translation)], "m")
-            turned = readable_values([_length(body.rotation_vector)], "rad")
-            yield pose, body.name, body.state, moved, turned
-
-
-def _felt(contact: ContactState) -> list[str]:
-    """Write force, moment, area, depth and sliding."""
-    if contact.area == 0.0:
-        return ["not touched", "-", "-", "-", "-"]
+def actuator_columns(states: Sequence[ActuatorState]) -> list[Column]:
+    """Return force and displacement of actuators, and which of them is imposed."""
+    heads = {"force": "force or pressure", "displacement": "displacement or growth"}
     return [
-        readable_values(list(contact.force), "N", digits=3),
-        readable_values(list(contact.moment), "N m", digits=3),
-        readable_values([float(contact.area)], "m2", digits=3),
-        readable_values([float(contact.depth)], "m", digits=3),
-        f"{100.0 * contact.sliding:.0f} %" if contact.sliding else "-",
+        Column(
+            head,
+            [getattr(a, what) for a in states],
+            [getattr(a, f"{what}_unit") or "" for a in states],
+            notes=["(imposed)" * (a.imposed == what) for a in states],
+        )
+        for what, head in heads.items()
     ]
-
-
-def actuator_values(actuator: ActuatorState) -> dict[str, str]:
-    """Write the force and the displacement of an actuator."""
-    force = readable_values([actuator.force], actuator.force_unit)
-    shown = {"force": force, "displacement": "-"}
-    if actuator.displacement is not None and actuator.displacement_unit is not None:
-        delta = readable_values([actuator.displacement], actuator.displacement_unit)
-        shown["displacement"] = delta
-    return shown
-
-
-def actuator_row(actuator: ActuatorState) -> list[str]:
-    """Write the force and the displacement of an actuator, and which is imposed."""
-    shown = actuator_values(actuator)
-    shown[actuator.imposed] += " (imposed)"
-    return list(shown.values())
-
-
-def _values(effector: EffectorRecord, values: Float[HostArray, " k"]) -> str:
-    shown = [_length(values)] if effector.is_turn else list(values)
-    return "-" if np.isnan(values).any() else readable_values(shown, effector.unit)
-
-
-def _length(vector: Float[HostArray, "3"]) -> float:
-    return float(np.linalg.norm(vector))
-
-
-def distance(metres: float) -> str:
-    """Write a distance in millimetres."""
-    return or_dash(1e3 * metres, ".2f", "mm")
 
 
 def model_words(model: Model) -> str:
@@ -157,85 +126,94 @@ def model_words(model: Model) -> str:
     return f"{model.mesh.words}, {' of '.join(named)} ({model.formulation})"
 
 
-def parameter_table(result: CalibrationResult, outlook: Identifiability) -> TextTable:
+def parameter_table(result: CalibrationResult, outlook: Identifiability) -> Table:
     """Tabulate values, standard errors, starts and bounds."""
+    every = result.parameters
     blind = {p.name for p in outlook.parameters if p.verdict == "not identifiable"}
-    title = "Parameters" + ("" if result.intervals else ", ± not checked")
-    rows = []
-    for q in result.parameters:
-        factor, unit = readable_unit([q.value], q.unit)
-        bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
-        sound = result.converged and not q.at_bound and q.name not in blind
-        start = f"{q.start * factor:.4g} {unit}".rstrip()
-        value = Cell(value_of(q), "strong" if sound else "bad")
-        rows.append((q.name, value, start, bounds))
-    columns = "parameter", "value ± standard error", "start", "bounds"
-    return text_table(title, columns, rows)
+    sound = (result.converged and not (q.at_bound or q.name in blind) for q in every)
+    tones: list[Tone] = ["strong" if good else "bad" for good in sound]
+    ends = lambda q: (readable(end, q.unit) for end in (q.lower, q.upper))
+    columns = (
+        Column("parameter", [q.name for q in every]),
+        value_column("value ± standard error", every, tones),
+        Column("start", [q.start for q in every], [q.unit for q in every]),
+        Column("bounds", [" to ".join(ends(q)) for q in every]),
+    )
+    return Table("Parameters" + ", ± not checked" * (not result.intervals), columns)
 
 
-def budget_table(result: CalibrationResult) -> TextTable:
+def budget_table(budget: ErrorBudget) -> Table:
     """Tabulate in words what the standard errors come from."""
-    columns = "parameter", "relative standard error"
-    rows = [(name, result.budget.sentence(name)) for name in result.budget.names]
-    return text_table("Standard errors by cause", columns, rows)
+    rows = [(name, budget.sentence(name)) for name in budget.names]
+    heads = "parameter | relative standard error"
+    return Table.of("Standard errors by cause", heads, rows)
 
 
-def interval_tables(result: CalibrationResult) -> list[TextTable]:
+def interval_table(result: CalibrationResult) -> Table:
     """Tabulate the intervals of the parameters, and how each was found."""
-    if not result.intervals:
-        return []
-    rows = []
-    for interval in result.intervals:
-        tone = "bad" if interval.kind == "none" else "plain"
-        rows.append((interval.name, Cell(str(interval), tone), interval.kind))
-    level = f"{100.0 * result.intervals[0].level:g} % interval"
-    return [text_table("Intervals", ("parameter", level, "kind"), rows)]
+    every = result.intervals
+    tones: list[Tone] = ["bad" if i.kind == "none" else "plain" for i in every]
+    level = f"{100.0 * every[0].level:g} % interval" if every else "interval"
+    rows = [(interval.name, str(interval), interval.kind) for interval in every]
+    heads = f"parameter | {level} | kind"
+    return Table.of("Intervals", heads, rows, about={level: {"tones": tones}})
+
+
+def optima_table(starts: MultiStartResult | None) -> Table:
+    """Tabulate the distinct optima of a search from many starts, the best first."""
+    optima = () if starts is None else starts.optima[:MOST_OPTIMA]
+    rows = [(one.cost, len(one.starts), one.words) for one in optima]
+    heads = "cost [ratio] | starts that end there | values"
+    return Table.of("Optima", heads, rows, note=starts.words if starts else "")
 
 
 def error_tables(
     fits: Sequence[ConfigurationResult], checks: ResidualChecks | None
-) -> list[TextTable]:
+) -> list[Table]:
     """Tabulate the errors of points and of orientations.
 
     With three or more fitted configurations, a further table has the error of each when
     it is left out of the fit: in one table, this would not fit in 80 columns.
     """
-    columns = ("configuration", "role", "before", "after", "motion", "relative error")
-    points, turns = [], []
-    for fit in listed_fits(fits):
-        lengths = fit.rms_before, fit.rms_after, fit.motion
-        before, after, motion = map(distance, lengths)
-        share = or_dash(100.0 * fit.rms_share, ".1f", "%")
-        first = (fit.name, fit.role)
-        points.append((*first, before, Cell(after, "strong"), motion, share))
-        if math.isfinite(fit.turn_after):
-            angles = np.degrees([fit.turn_before, fit.turn_after])
-            before, after = (or_dash(angle, ".2f", "deg") for angle in angles)
-            turns.append((*first, before, Cell(after, "strong")))
-    shown = []
-    if any(math.isfinite(fit.rms_after) for fit in fits):
-        shown.append(text_table("Residuals of the markers, rms", columns, points))
-    left_out = [] if checks is None else checks.left_out
-    rows = [(c.name, distance(c.rms), distance(c.expected)) for c in left_out]
-    if rows:
-        heads = ("configuration", "residual", "expected from known errors")
-        title = "Each configuration, predicted from the others"
-        shown.append(text_table(title, heads, rows))
-    if turns:
-        title = "Residuals of the orientations, rms"
-        shown.append(text_table(title, columns[:4], turns))
-    return shown
+
+    def errors(of: str, heads: str, keys: str, fits: Sequence[Any]) -> Table:
+        strong: list[Tone] = ["strong"] * len(fits)
+        rows = map(attrgetter("name", "role", *keys.split()), fits)
+        title, heads = f"Residuals of the {of}, rms", f"configuration | role | {heads}"
+        return Table.of(title, heads, rows, about={"after": {"tones": strong}})
+
+    listed, sizes = listed_fits(fits), "before [distance] | after [distance]"
+    turned = [fit for fit in listed if math.isfinite(fit.turn_after)]
+    sizes += " | motion [distance] | relative error [share]"
+    keys, angles = (
+        "rms_before rms_after motion rms_share",
+        "before [turn] | after [turn]",
+    )
+    title = "Each configuration, predicted from the others"
+    heads = (
+        "configuration | residual [distance] | expected from known errors [distance]"
+    )
+    left_out = () if checks is None else checks.left_out
+    tables = [
+        errors("markers", sizes, keys, listed),
+        Table.of(title, heads, map(attrgetter("name", "rms", "expected"), left_out)),
+        errors("orientations", angles, "turn_before turn_after", turned),
+    ]
+    seen = any(math.isfinite(fit.rms_after) for fit in fits)
+    return [table for table in tables[not seen :] if table]
 
 
-def outlook_table(assessment: Assessment) -> TextTable:
+def outlook_table(assessment: Assessment) -> Table:
     """Tabulate what the data tell about each parameter."""
-    rows = []
-    for p in assessment.identifiability.parameters:
-        tone = outlook_tone(p.verdict, assessment)
-        verdict = Cell(assessment.seen(p.verdict), tone)
-        rows.append((p.name, percent(p.ratio), verdict))
-    columns = "parameter", "standard error / target", "verdict"
-    return text_table("What the data determine", columns, rows)
+    outlook = assessment.identifiability
+    rows = [
+        (p.name, p.ratio if p.ratio <= LOST else "blind", assessment.seen(p.verdict))
+        for p in outlook.parameters
+    ]
+    heads = "parameter | standard error / target [percent] | verdict"
+    tones = [outlook_tone(p.verdict, assessment) for p in outlook.parameters]
+    about = {"note": outlook_legend(outlook), "about": {"verdict": {"tones": tones}}}
+    return Table.of("What the data determine", heads, rows, **about)
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
@@ -248,84 +226,43 @@ def outlook_legend(outlook: Identifiability) -> str:
     """Say what the verdicts mean, and give the condition numbers."""
     words = [outlook.scale]
     if outlook.has_prior:
-        shares = f"{outlook.informed} of {outlook.n_parameters} directions"
+        n = outlook.n_parameters
+        shares = f"{outlook.informed} of {n} direction{'s' * (n != 1)}"
         words.append(f"The data constrain {shares} more tightly than the prior.")
     if outlook.n_data:
-        words.append(str(outlook.conditioning).splitlines()[0])
+        words.append(str(outlook.conditioning))
     return " ".join(words)
 
 
-def blindness(outlook: Identifiability) -> list[str]:
-    """Say how many directions the data hardly see, then list them, the worst first."""
-    blind = outlook.blind[::-1]
-    if not blind:
-        return ["The data determine every combination of the parameters."]
-    by = "the prior and the start" if outlook.has_prior else "the start"
-    lines = [
-        f"The data leave {len(blind)} of {outlook.n_parameters} directions of the "
-        f"parameters undetermined; along these, the result depends on {by}. "
-        "Worst first (standard error / target):"
-    ]
-    lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
-    if len(blind) > MOST_DIRECTIONS:
-        lines.append(f"and {len(blind) - MOST_DIRECTIONS} more.")
-    return lines
+def inner_tables(outlook: Identifiability) -> list[Table]:
+    """Tabulate the correlation of the parameters and the singular values of W_ep."""
+    singular = outlook.conditioning.singular_values if outlook.n_data else ()
+    title = "Singular values of W_ep in units of the noise"
+    rows = enumerate(singular, 1)
+    values = Table.of(title, "number | singular value [ratio]", rows)
+    names, C = [p.name for p in outlook.parameters], outlook.correlation
+    columns = [Column(name, C[:, k], "correlation") for k, name in enumerate(names)]
+    table = Table("Correlation", (Column("parameter", names), *columns))
+    if len(names) > MOST_CORRELATED:
+        i, j = np.triu_indices(len(names), 1)
+        strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
+        first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
+        pairs = zip(i[first], j[first], strict=True)
+        rows = [(names[a], names[b], C[a, b]) for a, b in pairs]
+        heads = "parameter | with | correlation [correlation]"
+        table = Table.of(f"The {MOST_PAIRS} strongest correlations", heads, rows)
+    return [table for table in (table, values)[len(names) < 2 :] if table]
 
 
-def correlation_table(outlook: Identifiability) -> TextTable:
-    """Tabulate the correlation of all parameters, or the strongest pairs of many."""
-    names = [p.name for p in outlook.parameters]
-    C = outlook.correlation
-    if len(names) <= MOST_CORRELATED:
-        named = zip(names, C, strict=True)
-        rows = [(name, *(or_dash(c, ".2f") for c in row)) for name, row in named]
-        return text_table("Correlation", ("parameter", *names), rows)
-    i, j = np.triu_indices(len(names), 1)
-    strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
-    first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
-    pairs = zip(i[first], j[first], strict=True)
-    rows = [(names[a], names[b], or_dash(float(C[a, b]), ".2f")) for a, b in pairs]
-    columns = "parameter", "with", "correlation"
-    return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
-
-
-def history_table(result: CalibrationResult) -> TextTable:
+def history_table(result: CalibrationResult) -> Table:
     """Tabulate the steps of the fit."""
-    rows = []
-    for entry in result.history:
-        rms = or_dash(1e3 * entry.rms, ".4g", "mm")
-        size = f"{max(map(abs, entry.lambda_p)):.2g}" if entry.step else "-"
-        outcome = "taken" if entry.accepted else Cell("refused", "doubtful")
-        rows.append((str(entry.step), f"{entry.cost:.4g}", rms, size, outcome))
-    columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
-    return text_table("Steps of the fit", columns, rows)
-
-
-def summary_table(
-    result: CalibrationResult, assessment: Assessment | None = None
-) -> Group:
-    """Tabulate a calibration for the terminal; without `assessment`, it is assessed.
-
-    Parameters come first, then configurations, identifiability and notes.
-    """
-    assessment = assessment or assess(result)
-    outlook = assessment.identifiability
-    shown = result.configurations
-    style = STYLES[outlook_tone(outlook.verdict, assessment)]
-    tables = [
-        parameter_table(result, outlook),
-        budget_table(result),
-        *interval_tables(result),
-        *error_tables(shown, result.checks),
-        *robot_tables(listed_fits(shown)),
-        outlook_table(assessment),
-    ]
-    return Group(
-        *map(TextTable.drawn, tables),
-        Text(outlook_legend(outlook)),
-        Text("\n  ".join(blindness(outlook)), style=style),
-        *([Text(assessment.prediction)] if assessment.prediction else []),
-        *([] if result.starts is None else [Text(str(result.starts))]),
-        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
-        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
+    steps = result.history
+    size = [max(map(abs, s.lambda_p)) if s.step else None for s in steps]
+    outcome = ["taken" if s.accepted else "refused" for s in steps]
+    first = zip(*map(attrgetter("step", "cost", "rms"), steps), strict=True)
+    rows = zip(*first, size, outcome, strict=True)
+    tones: list[Tone] = ["plain" if s.accepted else "doubtful" for s in steps]
+    heads = "step | cost | rms marker distance [m] | largest lambda_p [step] | outcome"
+    return Table.of(
+        "Steps of the fit", heads, rows, about={"outcome": {"tones": tones}}
     )

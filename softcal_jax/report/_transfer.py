@@ -6,18 +6,15 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import Module
-from softcal_jax._names import listed
-from softcal_jax._text_table import text_table
+from softcal_jax._module import Result
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable, readable_estimate
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.export import plain
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.project import Project
 
 
-class Transfer(Module):
+class Transfer(Result):
     """Values of the material from a robot A, asked of a robot B.
 
     Attributes:
@@ -42,25 +39,8 @@ class Transfer(Module):
         judged = ("probability", "agree", "verdict")
         return {**plain(self), **{key: getattr(d, key) for key in judged}}
 
-    def __str__(self) -> str:
-        """Write both tables and the verdict."""
-        d = self.difference
-        of_a = map(readable_estimate, d.of_a, d.std_a, d.units)
-        of_b = map(readable_estimate, d.of_b, d.std_b, d.units)
-        smallest = lambda size, unit: readable(float(f"{size:.2g}"), unit)
-        values = zip(d.names, of_a, of_b, map(smallest, d.unseen, d.units), strict=True)
-        mm = lambda x: f"{1e3 * x:.3g} mm" if np.isfinite(x) else "-"
-        poses = zip(self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True)
-        errors = [[name, *map(mm, row)] for name, *row in poses]
-        titles = "parameter", "from A", "from B", "smallest detectable difference"
-        lines = text_table("", titles, values).lines()
-        titles = "pose of B", "motion", "error, fitted to B", "error, values of A"
-        lines += ["", *text_table("", titles, errors).lines()]
-        lines += ["", d.verdict]
-        if self.lost:
-            lost = listed(self.lost)
-            lines.append(f"With the values of A, no equilibrium was found for {lost}.")
-        return "\n".join(lines)
+    def _words(self) -> str:
+        return self.difference.verdict
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:

@@ -1,13 +1,13 @@
 """The answer of a calibration: values, verdict, held-out error, what to do next."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from softcal_jax._names import MOST_NAMED, listed
-from softcal_jax._text_table import Tone
+from softcal_jax._tree import Column, Section, Table, Tone
+from softcal_jax._units import readable
 from softcal_jax.calibration import (
     FLAT,
     NOT_TAKEN,
@@ -25,7 +25,6 @@ _SCOPE = (
 """For what calibrated values hold."""
 
 MOST_LISTED = 6  # held-out configurations that are listed one by one
-MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
 MOST_VALUES = 8  # parameters whose values stand in the first screen
 TONES: dict[str, Tone] = {
     "trust": "good",
@@ -38,58 +37,41 @@ TONES: dict[str, Tone] = {
 """Tone of each outcome, and of each verdict on what the data tell of a parameter."""
 
 
-class RunVerdict(NamedTuple):
-    """The verdict with which the page of a run begins."""
-
-    sentence: str  # ends with a colon where reasons follow
-    tone: Tone
-    reasons: tuple[str, ...] = ()  # what there is to doubt, one sentence each
-
-
-class Answer(NamedTuple):
-    """What a calibration answers, in the order in which it is read."""
-
-    mistakes: tuple[str, ...]  # what would explain contradictory data, likeliest first
-    values: tuple[tuple[str, str, str], ...]  # name, value and interval
-    verdict: RunVerdict  # whether the values can be used
-    held_out: tuple[str, ...]  # how well poses are predicted that were not fitted
-    next_step: str
-    scope: str  # for what the values hold, and what is held fixed
-
-    def lines(self) -> list[str]:
-        """Write it for a terminal."""
-        lines = [f"Possible mistake: {text}" for text in self.mistakes[:1]]
-        for name, value, interval in self.values[:MOST_VALUES]:
-            lines.append(f"{name} = {value}{f' ({interval})' if interval else ''}")
-        if len(self.values) > MOST_VALUES:
-            lines.append(f"and {len(self.values) - MOST_VALUES} more.")
-        lines.append(self.verdict.sentence)
-        lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
-        more = len(self.verdict.reasons) - MOST_REASONS
-        lines += [f"  and {more} more."] if more > 0 else []
-        return [*lines, *self.held_out, f"Next: {self.next_step}", self.scope]
-
-
-def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
-    """Collect what a calibration answers."""
+def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, ...]:
+    """Say what a calibration answers, in the order in which it is read."""
+    every = result.parameters
+    shown, more = every[:MOST_VALUES], len(every) - MOST_VALUES
+    columns = (
+        Column("parameter", [p.name for p in shown]),
+        value_column("value", shown),
+        Column("interval", [_interval_of(p) for p in shown]),
+    )
+    note = f"and {more} more." if more > 0 else ""
     none = "Held-out error: unknown, because every pose was used in the fit."
-    return Answer(
-        values=tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters),
-        verdict=verdict_of(assessment),
-        mistakes=result.mistakes,
-        held_out=tuple(held_out_sentences(result.configurations) or [none]),
-        next_step=_next_step(result, assessment),
-        scope=" ".join(filter(None, [assessment.held_fixed, _SCOPE])),
+    held_out = held_out_sentences(result.configurations) or [none]
+    scope = " ".join(filter(None, [assessment.held_fixed, _SCOPE]))
+    follows = *held_out, f"Next: {_next_step(result, assessment)}", scope
+    mistakes = tuple(f"Possible mistake: {text}" for text in result.mistakes)
+    return (
+        Section("answer", "", mistakes, (Table("", columns, note),)),
+        verdict_of(assessment),
+        Section("next", "", follows),
     )
 
 
-def value_of(parameter: ParameterEstimate) -> str:
-    """Write a value with its error, and whether it stands on a bound."""
-    if parameter.at_bound:
-        return f"{parameter.estimate} (on a bound)"
-    if parameter.given:
-        return f"{parameter.estimate} (with {', '.join(parameter.given)} on a bound)"
-    return parameter.estimate
+def value_column(
+    head: str, parameters: Sequence[ParameterEstimate], tones: Sequence[Tone] = ()
+) -> Column:
+    """Return values, their errors where these may be shown, and what is on a bound."""
+    given = lambda p: f"(with {', '.join(p.given)} on a bound)" * bool(p.given)
+    return Column(
+        head,
+        [p.value for p in parameters],
+        [p.unit for p in parameters],
+        errors=[p.standard_error if p.is_symmetric else math.nan for p in parameters],
+        notes=["(on a bound)" if p.at_bound else given(p) for p in parameters],
+        tones=tones,
+    )
 
 
 def _interval_of(parameter: ParameterEstimate) -> str:
@@ -99,10 +81,14 @@ def _interval_of(parameter: ParameterEstimate) -> str:
     return f"{100.0 * interval.level:g} % interval {interval}"
 
 
-def verdict_of(assessment: Assessment) -> RunVerdict:
+def verdict(sentence: str, tone: Tone, reasons: Iterable[str] = ()) -> Section:
+    """Begin a result with a sentence on it, and what there is to doubt."""
+    return Section("verdict", "", (sentence, *reasons), tone=tone)
+
+
+def verdict_of(assessment: Assessment) -> Section:
     """Say in one sentence whether the values of a calibration can be used."""
-    tone = TONES[assessment.outcome]
-    return RunVerdict(assessment.headline, tone, assessment.reasons)
+    return verdict(assessment.headline, TONES[assessment.outcome], assessment.reasons)
 
 
 def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
@@ -175,12 +161,12 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
             rms_distance(points, values)
             for values in (lambda e: e.simulated, lambda e: e.at_rest)
         )
-        parts.append(f"{1e3 * rms:.2f} mm rms over {_points(points, turns)}")
+        parts.append(f"{readable(rms, 'distance')} rms over {_points(points, turns)}")
         if motion > 0.0:
-            parts[0] += f", {100.0 * rms / motion:.1f} % of the motion"
+            parts[0] += f", {readable(rms / motion, 'share')} of the motion"
     if turns:
-        off = math.degrees(rms_distance(turns, lambda e: e.simulated))
-        parts.append(f"{off:.2f} deg rms in orientation")
+        off = rms_distance(turns, lambda e: e.simulated)
+        parts.append(f"{readable(off, 'turn')} rms in orientation")
     poses = [fit for fit in poses if any(e.seen.any() for e in fit.effectors)]
     held_out = poses[0].role == "validation"
     head = "Held-out error" if held_out else "Prediction error"
@@ -204,14 +190,14 @@ def _range(poses: Sequence[ConfigurationResult]) -> str:
     poses = [pose for pose in poses if math.isfinite(pose.rms_after)]
     if len(poses) < 2:
         return ""
-    errors = 1e3 * np.array([pose.rms_after for pose in poses])
-    best, worst = poses[int(np.argmin(errors))], poses[int(np.argmax(errors))]
-    ends = f"{errors.min():.2f} mm ({best.name})"
-    ends += f" to {errors.max():.2f} mm ({worst.name})"
+    ranked = sorted(poses, key=lambda pose: pose.rms_after)
+    size = lambda metres: readable(metres, "distance")
+    ends = (f"{size(pose.rms_after)} ({pose.name})" for pose in (ranked[0], ranked[-1]))
+    text = f"; {' to '.join(ends)}"
     if len(poses) <= MOST_LISTED:
-        return f"; {ends}"
-    half, most = np.quantile(errors, [0.5, 0.95])
-    return f"; {ends}, median {half:.2f} mm, 95th percentile {most:.2f} mm"
+        return text
+    half, most = np.quantile([pose.rms_after for pose in poses], [0.5, 0.95])
+    return f"{text}, median {size(half)}, 95th percentile {size(most)}"
 
 
 def _points(points: Sequence[EffectorRecord], turns: Sequence[EffectorRecord]) -> str:

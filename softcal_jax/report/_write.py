@@ -8,23 +8,52 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+import numpy as np
+
 from softcal_jax import export
 from softcal_jax._places import with_remedy
+from softcal_jax._tree import Section
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.calibration import CalibrationResult, SimulationResult, SourceFile
+from softcal_jax.calibration import (
+    CalibrationResult,
+    SimulationResult,
+    SourceFile,
+    simulation_result,
+)
 from softcal_jax.configurations import Traces
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
+from softcal_jax.plotting import (
+    PICTURES,
+    plot_traces,
+    render_configuration,
+    rendering_problem,
+)
 from softcal_jax.project import Project, printed_project
-from softcal_jax.report import _pages
-from softcal_jax.report._charts import budget_chart, course_charts, error_charts
-from softcal_jax.report._goals import commanded, design_dict
+from softcal_jax.report._html import (
+    Html,
+    closing,
+    figure,
+    framed,
+    node,
+    page,
+    picture,
+    section_html,
+)
+from softcal_jax.report._outline import ROLES
+from softcal_jax.report._sections import (
+    calibration_sections,
+    outlook_sections,
+    sections,
+)
 from softcal_jax.report._view import PageView, body_view
 
+REPORT = "report.html"  # name of the page in a results folder
+MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
 Picture = Literal["png", "svg", "pdf"]
 """Formats of pictures. In SVG and PDF, lines and words are drawn, bodies are images."""
@@ -38,36 +67,52 @@ class PictureWarning(SoftcalWarning):
 
 
 def write_results(
-    result: CalibrationResult,
+    result: export.Result,
     directory: str | Path,
     *,
-    name: str = "calibration",
+    name: str = "",
     force: bool = False,
     assessment: Assessment | None = None,
+    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
+    made: export.Made | Mapping[str, export.Made] | None = None,
     traces: Mapping[str, Traces] | None = None,
+    project: Project | None = None,
+    calibration: str | Path | None = None,
+    options: Sequence[str] = (),
+    notes: Sequence[str] = (),
     pictures: Picture | None = "png",
     progress: Progress = lambda *_: None,
 ) -> Path:
-    """Write a calibration to a folder, whole or not at all.
+    """Write a result to a folder, whole or not at all.
 
-    The folder holds `report.html`, a page for people that needs no other file;
-    `result.json` (see `result_dict`; its `files` lists the others), `markers.csv` and,
-    for each configuration with an equilibrium, a .vtu for ParaView and a picture;
-    `configurations.pvd` opens all .vtu at once. For a robot with other effectors, rigid
-    bodies or actuators there are `effectors.csv` and `robot.csv`, too; for a recording
-    of markers over time, a picture whose name ends with `_recording.png`. A calibration
-    that did not converge is written too, marked as such. The results are there, as
-    a whole, before .vtu and pictures are made.
+    The folder holds `report.html`, a page for people that needs no other file; its
+    numbers for programs (see `result_dict`; its `files` lists the others): of a
+    calibration `result.json`, else `simulation.json`, `design.json`, `inverse.json`,
+    `identifiability.json` or `comparison.json`; and, for each configuration with an
+    equilibrium, a .vtu for ParaView and a picture; `configurations.pvd` opens all .vtu
+    at once. `markers.csv` has points, `effectors.csv` other effectors, `robot.csv`
+    rigid bodies, actuators and contacts, as far as there are any; the name of the
+    picture of a recording over time ends with `_recording.png`. What has no bodies is
+    there in words, as .txt. A calibration that did not converge is written too, marked
+    as such. The results are there, as a whole, before .vtu and pictures are made.
 
     Args:
-        result: The calibration.
+        result: The result.
         directory: The folder; it must be new or empty, or hold earlier results.
-        name: Name of the calibration.
+        name: Name of the result; by default its kind.
         force: Replace earlier results; files that a user added stay.
-        assessment: Assessment of the calibration, if known already.
+        assessment: Assessment of a calibration, if known already.
+        ranking: Candidates that are ranked beside an `Identifiability`.
         timing_s: Wall time of further parts, added to those of the result [s].
+        made: What it was computed from and with; of models that are compared by their
+            names, in the order in which they were given. A calibration knows it.
         traces: Recordings of markers by configuration, as in a `Project`.
+        project: The project that was designed: `project.toml` describes the robot as it
+            is printed, see `printed_project`.
+        calibration: The file of the values of a simulation or of inverse control.
+        options: Further words of the command that repeats inverse control.
+        notes: Doubts about the result.
         pictures: Format of all pictures; with None there are none, and the page has no
             view of the robot.
         progress: Called with the numbers of pictures drawn so far and of all.
@@ -79,204 +124,148 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    assessment = assessment or assess(result)
+    kind, command = next(said for of, said in _KINDS.items() if isinstance(result, of))
+    if isinstance(result, CalibrationResult):
+        assessment = assessment or assess(result)
+        notes = *result.notes, *notes
+    texts = {}
+    if isinstance(result, DesignResult):
+        source = None if project is None else project.source
+        made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
+        if project is not None:
+            texts["project.toml"] = printed_project(project, result, Path(directory))
     data = export.result_dict(
-        result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
+        result,
+        name=name,
+        assessment=assessment,
+        ranking=ranking,
+        timing_s=timing_s,
+        made=made,
+        directory=directory,
     )
-    errors = error_charts(result.configurations)
-    charts = errors, budget_chart(result), course_charts(result)
-    page = partial(_pages.calibration_page, result, assessment, charts)
-    drawn = {"traces": traces, "suffix": pictures, "progress": progress}
-    return _write(result, data, directory, page, force=force, **drawn)
-
-
-def write_simulation(
-    result: SimulationResult,
-    directory: str | Path,
-    *,
-    name: str = "simulation",
-    force: bool = False,
-    timing_s: Mapping[str, float] | None = None,
-    traces: Mapping[str, Traces] | None = None,
-    pictures: Picture | None = "png",
-    progress: Progress = lambda *_: None,
-    made: export.Made | None = None,
-    calibration: str | Path | None = None,
-) -> Path:
-    """Write a forward simulation to a folder, whole or not at all.
-
-    The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
-    each configuration with an equilibrium, a .vtu and a .png; the page says why others
-    have none. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
-    as in `write_results`. Arguments, errors and what is returned are those of
-    `write_results`; `made`, what the simulation was computed from and with, and
-    `calibration`, the file of the values it took, give the command that repeats it.
-    """
-    data = export.simulation_dict(
-        result, name=name, timing_s=timing_s, made=made, directory=directory
-    )
-    values = None if calibration is None else SourceFile.of(Path(calibration))
-    data["calibration"] = values and export.file_dict(values, directory)
-    page = partial(_pages.simulation_page, result)
-    drawn = {"traces": traces, "suffix": pictures, "progress": progress}
-    return _write(result, data, directory, page, force=force, **drawn)
-
-
-def write_design(
-    result: DesignResult,
-    directory: str | Path,
-    *,
-    name: str = "design",
-    force: bool = False,
-    timing_s: Mapping[str, float] | None = None,
-    pictures: Picture | None = "png",
-    progress: Progress = lambda *_: None,
-    project: Project | None = None,
-) -> Path:
-    """Write a design to a folder, whole or not at all.
-
-    The folder holds `report.html`, `design.json` and the files of the bodies, as in
-    `write_simulation`; and, if the `project` that was designed is given, `project.toml`
-    for the robot as it is printed, see `printed_project`. Other arguments, errors and
-    what is returned are those of `write_results`.
-    """
-    posed = [replace(pose, role="design") for pose in result.fit.configurations]
-    shown = SimulationResult(result.fit.model, tuple(posed))
-    source = None if project is None else project.source
-    made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
-    data = export.simulation_dict(
-        shown, name=name, timing_s=timing_s, made=made, directory=directory
-    )
-    data |= {"format": "softcal_jax.design/1", "design": design_dict(result)}
-    printed = lambda project: printed_project(project, result, Path(directory))
-    texts = {} if project is None else {"project.toml": printed(project)}
-    page = partial(_pages.design_page, result)
-    drawn = {"suffix": pictures, "progress": progress, "texts": texts}
-    return _write(shown, data, directory, page, force=force, **drawn)
-
-
-def write_identifiability(
-    outlook: Identifiability | None,
-    ranking: Ranking | None,
-    directory: str | Path,
-    *,
-    name: str = "identifiability",
-    force: bool = False,
-    timing_s: Mapping[str, float] | None = None,
-    made: export.Made | None = None,
-) -> Path:
-    """Write an identifiability result to a folder, whole or not at all.
-
-    The folder holds `report.html`, `identifiability.json` (see `outlook_dict`) and the
-    same in words, `identifiability.txt`. `outlook` is None if there are no
-    configurations, `ranking` if there are no candidates. Further arguments, errors and
-    what is returned are those of `write_simulation`.
-    """
-    data = export.outlook_dict(
-        outlook, ranking, name=name, timing_s=timing_s, made=made, directory=directory
-    )
-    text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
-    page = lambda data, *_: _pages.identifiability_page(outlook, ranking, data)
-    texts = {"identifiability.txt": f"{text}\n"}
-    return _write(None, data, directory, page, force=force, texts=texts)
-
-
-def write_comparison(
-    comparison: ModelComparison,
-    directory: str | Path,
-    *,
-    name: str = "comparison",
-    force: bool = False,
-    timing_s: Mapping[str, float] | None = None,
-    made: Mapping[str, export.Made] | None = None,
-) -> Path:
-    """Write a comparison of models to a folder, whole or not at all.
-
-    The folder holds `report.html`, `comparison.json` (see `comparison_dict`) and the
-    same in words, `comparison.txt`. `made` is what each model was computed from and
-    with, by its name, in the order in which they were given. Further arguments, errors
-    and what is returned are those of `write_simulation`.
-    """
-    data = export.comparison_dict(
-        comparison, name=name, timing_s=timing_s, made=made, directory=directory
-    )
-    page = lambda data, *_: _pages.comparison_page(comparison, data)
-    texts = {"comparison.txt": f"{comparison}\n"}
-    return _write(None, data, directory, page, force=force, texts=texts)
-
-
-def write_inverse(
-    result: InverseResult | TrajectoryResult,
-    directory: str | Path,
-    *,
-    name: str = "inverse",
-    force: bool = False,
-    timing_s: Mapping[str, float] | None = None,
-    made: export.Made | None = None,
-    calibration: str | Path | None = None,
-    options: Sequence[str] = (),
-    notes: Sequence[str] = (),
-    pictures: Picture | None = "png",
-    progress: Progress = lambda *_: None,
-) -> Path:
-    """Write a result of inverse control to a folder, whole or not at all.
-
-    The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and the files of
-    the bodies, as in `write_simulation`, with circles where the goals are. With
-    `calibration`, the `result.json` that the model was loaded from, the page gives the
-    command that repeats the run; `options` are further words of it, like "--goal" and
-    its value, and `notes` are doubts about the result. A trajectory has at least one
-    point. Other arguments, errors and what is returned are those of `write_results`.
-    """
-    points = [result] if isinstance(result, InverseResult) else result.points
-    names = [f"goal {i}" for i in range(1, len(points) + 1)]
-    names = ["command"] if len(points) == 1 else names
-    data = export.inverse_dict(
-        result, name=name, timing_s=timing_s, made=made, directory=directory
-    )
-    poses = tuple(map(commanded, points, names))
-    data["configurations"] = [{"name": pose.name, "role": pose.role} for pose in poses]
     data["notes"] = notes
-    loaded = None if calibration is None else SourceFile.of(Path(calibration))
-    data["calibration"] = loaded and export.file_dict(loaded, directory)
-    shown = SimulationResult(points[0].model, poses)
-    page = partial(_pages.inverse_page, result, options)
-    drawn = {"suffix": pictures, "progress": progress}
-    return _write(shown, data, directory, page, force=force, **drawn)
+    tree, shown = _tree(result, assessment, ranking), _bodies(result)
+    if shown is None:
+        stem = data["format"].partition(".")[2].partition("/")[0]
+        words = (str(part) for part in (name, result, ranking) if part)
+        texts[f"{stem}.txt"] = "\n\n".join(words) + "\n"
+    files, values = None, calibration and SourceFile.of(Path(calibration))
+    named = values and export.file_dict(values, directory)
+    if command in ("simulate", "inverse"):
+        data["calibration"] = named
+    if command == "simulate" and named:
+        options = ["--values", named["file"]]
+    if command == "inverse" and shown is not None:
+        files, poses = [named] if named else [], shown.configurations
+        data["configurations"] = [{"name": p.name, "role": p.role} for p in poses]
+    page = {"kind": kind, "command": command, "files": files, "options": options}
+    drawn = {"suffix": pictures, "progress": progress, "traces": traces}
+    more = {"texts": texts, "force": force}
+    return _write(shown, data, directory, tree, **page, **more, **drawn)
 
 
-Result = CalibrationResult | SimulationResult
+_KINDS: dict[type, tuple[str, str]] = {
+    CalibrationResult: ("Calibration", "calibrate"),
+    SimulationResult: ("Simulation", "simulate"),
+    DesignResult: ("Design", "design"),
+    InverseResult: ("Inverse control", "inverse"),
+    TrajectoryResult: ("Inverse control", "inverse"),
+    Identifiability: ("Identifiability", "identify"),
+    Ranking: ("Identifiability", "identify"),
+    ModelComparison: ("Comparison of models", "compare"),
+}
+"""What was done, as a page says it, and the command that does it."""
+
+
+def _tree(
+    result: export.Result, assessment: Assessment | None, ranking: Ranking | None
+) -> tuple[Section, ...]:
+    """Write what a result says, and what is known of it besides."""
+    if isinstance(result, CalibrationResult) and assessment is not None:
+        return calibration_sections(result, assessment)
+    if isinstance(result, Identifiability):
+        return outlook_sections(result, ranking)
+    return sections(result)
+
+
+def _bodies(result: export.Result) -> CalibrationResult | SimulationResult | None:
+    """Return the equilibria that a result has."""
+    match result:
+        case CalibrationResult() | SimulationResult():
+            return result
+        case DesignResult():
+            return export.bodies_of(result)
+        case InverseResult() | TrajectoryResult():
+            return _commanded(result)
+    return None
+
+
+def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
+    """Describe the equilibrium of each command, to compare it with its goals."""
+    points = [result] if isinstance(result, InverseResult) else [*result.points]
+    poses = []
+    for number, point in enumerate(points, 1):
+        # On the host: on the device, each shape would compile a program.
+        solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+        solved = simulation_result(point.model, [point.configuration], solution)
+        goals = tuple(fit.effector for fit in point.goals)
+        about = {"role": "command", "effectors": goals}
+        about["name"] = f"goal {number}" if len(points) > 1 else "command"
+        poses.append(replace(solved.configurations[0], **about))
+    return SimulationResult(points[0].model, tuple(poses))
 
 
 def _write(
-    result: Result | None,
+    result: CalibrationResult | SimulationResult | None,
     data: dict[str, Any],
     directory: str | Path,
-    page: Callable[[Mapping[str, Any], Path, PageView | None], str],
+    tree: Sequence[Section],
     *,
+    kind: str,
+    command: str,
     force: bool,
-    texts: Mapping[str, str] | None = None,
+    texts: Mapping[str, str],
+    files: Sequence[Mapping[str, str]] | None = None,
+    options: Sequence[str] = (),
     **drawn: Any,
 ) -> Path:
     """Write the results, and then once more with the files of the bodies.
 
     So no results are lost by what befalls those, which take long and a larger disk.
-    `texts` are files by name; `drawn` says how the bodies of a result are drawn.
+    `texts` are files by name; `drawn` says how the bodies of a result are drawn. The
+    page says how to repeat the `command`, with its `files` and `options`.
     """
     kept = f"{directory} holds the results, without pictures and files for ParaView"
     index = re.split("[./]", data["format"])[1] + ".json"  # softcal_jax.result/2
+    ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
+    sources = data["sources"].values() if "sources" in data else [data["source"]]
 
     def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
-        files = [_pages.REPORT, *(texts or ())]
-        for file, text in (texts or {}).items():
-            (folder / file).write_text(text, encoding="utf-8")
+        names = [REPORT, *texts]
+        for file, content in texts.items():
+            (folder / file).write_text(content, encoding="utf-8")
         if result is not None:
-            files += export.write_csv(folder, result.configurations)
-        data["files"] = [*files, *bodies]
-        (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
+            names += export.write_csv(folder, result.configurations)
+        data["files"] = [*names, *bodies]
+        pictures = [] if result is None else pictures_of(data, folder, view)
+        notes = Section("notes", "Notes", tuple(data["notes"]))
+        every = [
+            *(section for section in tree if not section.title),
+            notes,
+            *(s for s in tree if s.title and not s.folded and s.key != notes.key),
+            *(section for section, _ in pictures),
+            *(section for section in tree if section.folded),
+            *closing(command, data, sources, files=files, options=options),
+        ]
+        more = {section.key: content for section, content in pictures}
+        units = "SI" if command in ("design", "inverse") else "SI and mm"
+        about = {"index": index, "units": units, "drawn": ready | more}
+        if view is not None:
+            about |= {"robot": view.content, "script": view.script}
+        whole = page(data["name"], kind, every, **about)
+        (folder / REPORT).write_text(whole, encoding="utf-8")
         export.write_json(folder / index, data)
 
-    data.setdefault("notes", [])
     for entry in data["configurations"] if result is not None else ():
         entry["files"] = []
     with export.results_folder(directory, force=force) as folder:
@@ -292,9 +281,47 @@ def _write(
     return Path(directory)
 
 
+def pictures_of(
+    data: Mapping[str, Any], folder: Path, view: PageView | None
+) -> list[tuple[Section, Html]]:
+    """Show pictures of the configurations, as many as a page should hold.
+
+    The view hides the pictures of what it shows, except in print or without scripts.
+    """
+    shown, hidden = [], []
+    left = MOST_PICTURES - (0 if view is None else 3 * view.size // 4)  # as base64
+    for entry in data["configurations"]:
+        posed, role = entry["name"], ROLES.get(entry.get("role", ""), "simulated")
+        for path in (folder / name for name in entry["files"]):
+            if path.suffix not in PICTURES:
+                continue
+            caption = f"{posed} ({role}): the deformed body, coloured by displacement"
+            is_recording = path.stem.endswith("_recording")
+            if is_recording:
+                caption = f"{posed}: the recording of the markers over time"
+            left -= path.stat().st_size
+            if left < 0 or path.suffix == ".pdf":  # which no page can show
+                link = node("a", path.name, href=path.name)
+                text = "this picture is a separate file, "
+                drawn = node("p", f"{caption}; {text}", link, ".")
+            else:
+                drawn = figure(picture(path, caption), f"{caption}.")
+            viewed = view is not None and posed in view.names and not is_recording
+            shown.append(node("div", drawn, class_="viewed") if viewed else drawn)
+            hidden.append(viewed)
+    if not shown:
+        return []
+    section = Section("pictures", "Pictures")
+    if not all(hidden):
+        return [(section, framed(section, shown))]
+    # No link leads to what the view hides.
+    head = node("section", node("h2", section.title), *shown, class_="viewed")
+    return [(section._replace(folded=True), head)]
+
+
 def _write_bodies(
     folder: Path,
-    result: Result,
+    result: CalibrationResult | SimulationResult,
     data: dict[str, Any],
     *,
     suffix: Picture | None,

@@ -3,12 +3,13 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
 
+from softcal_jax import _notebook
 from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import is_number
@@ -21,29 +22,6 @@ def figure_name(name: str) -> tuple[str, str]:
     """Split "fit rms [m]" into "fit rms" and its unit; a name without one has ""."""
     match = re.fullmatch(r"(.+?) \[(.+)\]", name)
     return (match[1], match[2]) if match else (name, "")
-
-
-@dataclass(frozen=True)
-class Group:
-    """Trials that agree on some axes.
-
-    Attributes:
-        values: Their value on each of these axes.
-        rows: Trials that have ended.
-        missing: Number of trials that have not ended.
-    """
-
-    values: Mapping[str, Any]
-    rows: tuple[TrialRow, ...]
-    missing: int
-
-    def count(self, state: State) -> int:
-        """Count the trials that ended in a state."""
-        return sum(row.state == state for row in self.rows)
-
-    def numbers(self, figure: str) -> Float[HostArray, " n"]:
-        """Collect a figure of the trials that converged and have it as a number."""
-        return _numbers(self.rows, figure)
 
 
 @dataclass(frozen=True)
@@ -132,18 +110,25 @@ class SweepResult:
         check_known("axis", self.axes, *by)
         return tuple(by)
 
-    def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
-        """Group trials by the axes of `grouping`, in the order of the plan."""
+    def groups(
+        self, by: Sequence[str] | None = None
+    ) -> tuple[tuple[Mapping[str, Any], "SweepResult"], ...]:
+        """Split it by the axes of `grouping`: their values, and a part of the sweep."""
         by = self.grouping(by)
         points = {**self.planned, **{row.key: row.point for row in self.rows}}
         groups: dict[str, list[str]] = {}
         for key, point in points.items():
             groups.setdefault(repr([point[axis] for axis in by]), []).append(key)
+        part = lambda values, keys: {key: values[key] for key in keys if key in values}
         return tuple(
-            Group(
-                values={axis: points[keys[0]][axis] for axis in by},
-                rows=tuple(self.ended[key] for key in keys if key in self.states),
-                missing=sum(key not in self.states for key in keys),
+            (
+                {axis: points[keys[0]][axis] for axis in by},
+                replace(
+                    self,
+                    planned=part(self.planned, keys),
+                    states=part(self.states, keys),
+                    ended=part(self.ended, keys),
+                ),
             )
             for keys in groups.values()
         )
@@ -173,9 +158,10 @@ class SweepResult:
         )
 
     def __str__(self) -> str:
-        """Write the counts of states, and why trials failed or did not converge."""
-        lines = [f"  {state}, {text}" for state, text in self.reasons]
-        return "\n".join([f"{self.name}: {self.headline}", *lines])
+        return _notebook.text_of(self)
+
+    def _repr_html_(self) -> str | None:
+        return _notebook.html_of(self)
 
 
 def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:

@@ -313,7 +313,7 @@ def test_it_says_what_to_measure_first():
     result = cantilever("hang")
     parts = {c: 100.0 * share for c, share in relative(result).items()}
     (line,) = str(result.budget).splitlines()
-    assert f" {line}" in str(result)
+    assert line.removeprefix("E: ") in str(result)
     assert line.startswith(f"E: noise {parts['noise']:.2g} %, clamp ")
     assert f", density {parts['density']:.2g} %" in line
     assert "gravity" not in line  # less than a tenth of the whole

@@ -81,7 +81,7 @@ def test_where_first_order_is_wrong_the_profile_is_printed(result):
     assert np.max(np.abs(np.array([E - reach, E + reach]) - ends)) > 0.1 * E
     assert "±" not in str(result.parameters[0])
     assert str(interval) in str(result)
-    assert "+-" not in str(result).split("\n")[1]
+    assert "±" not in str(result).split("\n")[0]
 
 
 @pytest.mark.parametrize(

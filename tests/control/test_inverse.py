@@ -25,7 +25,7 @@ from softcal_jax.control import (
     follow_trajectory,
     solve_inverse,
 )
-from softcal_jax.report._goals import _goals
+from softcal_jax.report._goals import goal_table
 
 FINE = ControlSettings(tol=1e-6)
 FEW = ControlSettings(other_starts=3)
@@ -233,7 +233,7 @@ def test_a_start_without_equilibrium_reaches_nothing():
     fit = GoalFit(replace(point, simulated=np.full(3, np.nan)))
     assert InverseResult.unmet.fget(SimpleNamespace(goals=(fit,), tol=0.01)) == (fit,)
     assert fit.off == "x unknown, y unknown, z unknown"
-    table = "\n".join(_goals([fit]).lines())
+    table = str(goal_table([fit]).rows())
     assert "unknown" in table
     assert "nan" not in table
 
@@ -265,4 +265,4 @@ def test_out_of_reach_of_one_input_takes_hardly_longer(monkeypatch):
         assert result.met == (bend < 2.0)
     assert used[-1] <= sum(used[:3])
     check_only(result.held_by, "force ... 'top' ... upper limit, 10 N")
-    assert says(str(result), "held by", "commanded: top = 10 N", "'bend' is off by -")
+    assert says(str(result), "'bend' is off by -", "held by", "Commanded: top = 10 N")

@@ -10,7 +10,7 @@ from test_page import Read, check_page, number
 from wording import says
 
 from softcal_jax.control import ControlSettings, Limits, TrajectoryResult, solve_inverse
-from softcal_jax.report import _write, notebook_html, write_inverse
+from softcal_jax.report import _write, notebook_html, write_results
 
 FACTOR = {"N": 1.0, "mN": 1e-3, "mm": 1e-3, "N mm": 1e-3, "N m": 1.0}
 FACTOR |= {"deg": np.pi / 180.0, "m": 1.0}
@@ -68,7 +68,7 @@ def check_actuators(rows, data):
 
 
 def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
-    folder = write_inverse(met, tmp_path / "out", name="arm", notes=["mind the gap"])
+    folder = write_results(met, tmp_path / "out", name="arm", notes=["mind the gap"])
     page = check_page(folder)
     data = json.loads((folder / "inverse.json").read_text())
     (point,) = data["points"]
@@ -111,7 +111,7 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
 
 
 def test_a_missed_goal_is_no_success(missed, tmp_path):
-    folder = write_inverse(missed, tmp_path / "out")
+    folder = write_results(missed, tmp_path / "out")
     page = check_page(folder)
     data = json.loads((folder / "inverse.json").read_text())
     assert not data["met"]
@@ -125,7 +125,7 @@ def test_a_missed_goal_is_no_success(missed, tmp_path):
 
 
 def test_a_cell_shows_what_the_page_shows(met, tmp_path):
-    folder = write_inverse(met, tmp_path / "out")
+    folder = write_results(met, tmp_path / "out")
     whole = Read((folder / "report.html").read_text("utf-8"))
     shown = Read(met._repr_html_())
     assert list(shown.tables) == ["Goals", "Actuators"]
@@ -137,7 +137,7 @@ def test_a_cell_shows_what_the_page_shows(met, tmp_path):
 def test_a_trajectory(met, missed, tmp_path):
     """One command per goal, with the unit of each input."""
     result = TrajectoryResult((met, missed))
-    folder = write_inverse(result, tmp_path / "out")
+    folder = write_results(result, tmp_path / "out")
     page = check_page(folder)
     data = json.loads((folder / "inverse.json").read_text())
     assert [point["met"] for point in data["points"]] == [True, False]

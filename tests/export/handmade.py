@@ -28,7 +28,7 @@ from softcal_jax.equilibrium import (
     build_model,
 )
 from softcal_jax.fields import Parameter, ParameterSpace
-from softcal_jax.identifiability import Gain, Ranking, Unranked
+from softcal_jax.identifiability import Gain, Ranking
 from softcal_jax.inference import Cause, ErrorBudget, Uncertainty, independent
 from softcal_jax.materials import (
     AbstractLaw,
@@ -242,7 +242,7 @@ def make_ranking():
     """One candidate that shows the angle, and one without an equilibrium."""
     errors = np.array([0.5, 0.1])
     gain = Gain("turned", errors, "theta", 0.9, 0.01, 0.35, "rad")
-    unranked = (Unranked("crushed", "inverted"),)
+    unranked = {"crushed": "inverted"}
     return Ranking((gain,), unranked, "Fewest that reach 10 %: turned.", True)
 
 

@@ -13,12 +13,10 @@ from rich.console import Console
 from softcal_jax.calibration import SimulationResult
 from softcal_jax.export import (
     result_dict,
-    simulation_dict,
     write_csv,
     write_robot_vtu,
 )
-from softcal_jax.export.result_file import RobotEntry
-from softcal_jax.report import simulation_tables
+from softcal_jax.report import console as drawn, sections
 from softcal_jax.report._tables import robot_tables
 
 
@@ -30,7 +28,7 @@ def model():
 def test_a_simulation_tabulates_them(model):
     result = SimulationResult(model, (pressed(model, sliding=0.3),))
     console = Console(width=80, file=io.StringIO())
-    console.print(*[table.drawn() for table in simulation_tables(result)])
+    console.print(drawn(sections(result)))
     rows = [
         [cell.strip() for cell in line.split("│")[1:-1]]
         for line in console.file.getvalue().splitlines()
@@ -43,7 +41,7 @@ def test_a_simulation_tabulates_them(model):
 def test_bodies_that_are_absent_fill_no_table(model):
     result = SimulationResult(model, (pressed(model, present=("probe",)),))
     (bodies,) = [t for t in robot_tables(result.configurations) if "bod" in t.title]
-    assert [row[1].text for row in bodies.rows] == ["probe"]
+    assert [row[1] for row in bodies.rows()] == ["probe"]
 
 
 def test_csv_has_a_line_per_value(model, tmp_path):
@@ -61,7 +59,7 @@ def test_csv_has_a_line_per_value(model, tmp_path):
 
 def test_json_of_simulations_and_calibrations(model):
     fit = pressed(model, sliding=0.3)
-    (entry,) = simulation_dict(SimulationResult(model, (fit,)))["configurations"]
+    (entry,) = result_dict(SimulationResult(model, (fit,)))["configurations"]
     probe, table = entry["robot"]["contacts"]
     assert probe == {
         "name": "probe",
@@ -75,10 +73,6 @@ def test_json_of_simulations_and_calibrations(model):
     calibrated = make_result(model=model, fits=[make_fit(model.mesh), fit])
     written = result_dict(calibrated)["configurations"][1]["robot"]
     assert written["contacts"] == [probe, table]
-
-
-def test_results_from_before_contact_are_read():
-    assert RobotEntry.model_validate_json('{"reactions": []}').contacts is None
 
 
 def test_paraview_sees_the_forces(model, tmp_path):

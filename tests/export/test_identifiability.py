@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from export.handmade import axis_space, make_ranking, make_result, replaced
 
-from softcal_jax.export import outlook_dict, result_dict
+from softcal_jax.export import result_dict
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
 
@@ -19,7 +19,7 @@ def half_blind():
 
 
 def test_verdict_as_strict_json():
-    data = outlook_dict(half_blind(), None)["identifiability"]
+    data = result_dict(half_blind())["identifiability"]
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert list(data) == [
         "verdict",
@@ -63,7 +63,7 @@ def test_in_the_result_of_a_calibration(estimated, used):
     )
     outlook = assess(result).identifiability
     data = result_dict(result)["identifiability"]
-    assert data == outlook_dict(outlook, None)["identifiability"]
+    assert data == result_dict(outlook)["identifiability"]
     assert [p["name"] for p in data["parameters"]] == ["E", "nu"]
     # Six coordinates of 100 per unit of ln E, at E = 240 kPa.
     assert data["parameters"][0]["data_only"] == pytest.approx(
@@ -72,7 +72,9 @@ def test_in_the_result_of_a_calibration(estimated, used):
 
 
 def test_outlook():
-    data = outlook_dict(half_blind(), make_ranking(), name="beam", timing_s={"a": 1.0})
+    data = result_dict(
+        half_blind(), ranking=make_ranking(), name="beam", timing_s={"a": 1.0}
+    )
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     made = ["source", "settings", "versions"]
     of_data = ["identifiability", "budget", "ranking", "timing_s"]
@@ -88,5 +90,5 @@ def test_outlook():
 
 
 def test_outlook_without_one_or_the_other():
-    assert outlook_dict(half_blind(), None)["ranking"] is None
-    assert outlook_dict(None, make_ranking())["identifiability"] is None
+    assert result_dict(half_blind())["ranking"] is None
+    assert result_dict(make_ranking())["identifiability"] is None

@@ -106,7 +106,7 @@ def test_layouts_with_as_many_points_share_a_program(comparison, data):
 def test_words_and_table(comparison):
     text = str(comparison)
     assert says(text, "'two' ... best")
-    assert says(text, "parameters", "held-out error [mm]")
+    assert says(text, "parameters", "held-out error ... mm")
 
 
 @COMPARED

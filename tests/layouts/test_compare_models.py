@@ -11,7 +11,7 @@ from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.configurations import Markers
-from softcal_jax.export import comparison_dict
+from softcal_jax.export import result_dict
 from softcal_jax.fields import Parameter
 from softcal_jax.layouts import (
     FoldScore,
@@ -76,8 +76,8 @@ def test_the_verdict_names_what_is_undecided():
     assert says(result.verdict, "'yeoh'", numbers, "cannot", others, "fewest")
     text = str(result)
     assert text.splitlines()[0] == result.verdict
-    assert "8.8 +- 0.56" in text  # 2.776 standard errors: four degrees of freedom
-    data = json.loads(json.dumps(comparison_dict(result), allow_nan=False))
+    assert "8.80 ± 0.56" in text  # 2.776 standard errors: four degrees of freedom
+    data = json.loads(json.dumps(result_dict(result), allow_nan=False))
     assert data["best"] == "yeoh"
     assert [m["name"] for m in data["models"]] == ["yeoh", "neo-hookean", "gent"]
     assert [d["told_apart"] for d in data["differences"]] == [False, True]
@@ -93,8 +93,8 @@ def test_failed_folds_rank_last_and_are_named():
     none = ModelComparison.ranked([broken])
     assert none.best is None
     assert says(none.verdict, "No model")
-    assert json.dumps(comparison_dict(none), allow_nan=False)
-    assert comparison_dict(none)["best"] is None
+    assert json.dumps(result_dict(none), allow_nan=False)
+    assert result_dict(none)["best"] is None
 
 
 def test_two_configurations_decide_little():

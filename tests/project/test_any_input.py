@@ -23,7 +23,7 @@ from softcal_jax.configurations import read_markers, read_recording
 from softcal_jax.exchange.camera import read_photo, tag_cells
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.report import ResultError, load_values
-from softcal_jax.sweeps import grid, read_sweep, run_sweep, sweep_table
+from softcal_jax.sweeps import grid, read_sweep, run_sweep
 
 
 def number_of_examples(few, many):
@@ -301,7 +301,7 @@ def a_project(folder):
 
 
 def shown(path):
-    return str(sweep_table(read_sweep(path)))
+    return str(read_sweep(path))
 
 
 in_mm = partial(read_recording, length_unit="mm")

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 from rows import substance
 
+from softcal_jax.report import console as drawn, sweep_sections
 from softcal_jax.sweeps import (
     _database as database_module,
     grid,
     read_sweep,
     run_sweep,
-    sweep_table,
 )
 from softcal_jax.sweeps._row import run_trial
 from softcal_jax.sweeps._trial import as_trials
@@ -159,7 +159,7 @@ def test_a_figure_out_of_range_is_shown_as_that(tmp_path, number):
     result = read_sweep(path)
     for every in (False, True):
         console = Console(width=80, record=True, file=io.StringIO())
-        console.print(sweep_table(result, every=every))
+        console.print(drawn(sweep_sections(result, every=every)))
         assert console.export_text().count("out of range") == 1
     assert result.numbers("x").tolist() == [1.5]
 

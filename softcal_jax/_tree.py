@@ -1,0 +1,176 @@
+"""What a result says, as a tree: sections with texts, tables and charts.
+
+Numbers are in SI. Whoever writes the tree, for a terminal, a page or a file, chooses
+units and digits by `Column.texts`.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import HostArray
+from softcal_jax._units import (
+    readable_estimate,
+    readable_unit,
+    readable_values,
+)
+
+Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
+"""How a text is meant; its words must say so too, as colours are not seen by all."""
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        title: Its head.
+        values: Numbers in SI, vectors of a few, or words; nan and None are missing.
+        quantity: What they are: a name in `QUANTITIES`, or an SI unit; one for each
+            value where these differ.
+        errors: Standard errors of the values, in SI; nan where none may be shown.
+        notes: What stands behind each value, like "(imposed)".
+        tones: How each value is meant.
+        digits: Significant digits of values in an SI unit.
+    """
+
+    title: str
+    values: Sequence[Any] | HostArray
+    quantity: str | Sequence[str] = ""
+    errors: Sequence[float] = ()
+    notes: Sequence[str] = ()
+    tones: Sequence[Tone] = ()
+    digits: int = 4
+
+    @property
+    def holds_words(self) -> bool:
+        """Whether it holds words, which are aligned on the left."""
+        return all(isinstance(value, str) for value in self.values)
+
+    @property
+    def unit(self) -> str:
+        """The unit in which all its values are written; empty where they differ."""
+        if not isinstance(self.quantity, str) or self.holds_words:
+            return ""
+        text = readable_values([0.0], self.quantity, beside=self._numbers())
+        return text.partition(" ")[2]
+
+    def _numbers(self) -> list[float]:
+        known = (v for v in self.values if v is not None and not isinstance(v, str))
+        return np.concatenate([np.zeros(0), *map(np.ravel, known)]).tolist()
+
+    def texts(self, *, units: bool = True) -> list[str]:
+        """Write its values, those of one quantity in a common unit; a dash is no value.
+
+        Without `units`, the unit is not written.
+        """
+        one, texts = self.quantity if isinstance(self.quantity, str) else None, []
+        numbers = [] if one is None else self._numbers()
+        for k, value in enumerate(self.values):
+            quantity = self.quantity[k] if one is None else one
+            if value is None or isinstance(value, str):
+                text = value or "-" * (value is None)
+            elif self.errors:
+                factor, unit = readable_unit(numbers or [value], quantity)
+                text = readable_estimate(factor * value, factor * self.errors[k], "")
+                text += f" {unit}"
+            else:
+                about = {"digits": self.digits, "beside": numbers}
+                text = readable_values(np.ravel(value).tolist(), quantity, **about)
+                text = text.replace("unknown", "-")
+            text = text.rstrip() if units else text.removesuffix(f" {self.unit}")
+            texts.append(f"{text} {self.notes[k] if self.notes else ''}".rstrip())
+        return texts
+
+
+class Table(NamedTuple):
+    """A table; the first column names what a row is about, and a note stands below."""
+
+    title: str
+    columns: tuple[Column, ...]
+    note: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        heads: str,
+        rows: Iterable[Sequence[Any]],
+        *,
+        note: str = "",
+        units: Sequence[str] = (),
+        digits: int = 4,
+        about: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> "Table":
+        """Make a table of rows.
+
+        Args:
+            title: Its title.
+            heads: Those of its columns, like "pose | area [m2]", with quantities.
+            rows: A value for each column.
+            note: What stands below.
+            units: Those of the rows, for columns with "[*]".
+            digits: Significant digits of values in an SI unit.
+            about: Further attributes of columns, like their `tones`, by their heads.
+        """
+        found = [re.fullmatch(r"(.*?)(?: \[(.+)\])?", h) for h in heads.split(" | ")]
+        parts = [match.groups("") for match in found if match is not None]
+        every = [*zip(*rows, strict=True)] or [()] * len(parts)
+        columns = (
+            Column(
+                *(head, values, units if quantity == "*" else quantity),
+                **{"digits": digits, **(about or {}).get(head, {})},
+            )
+            for (head, quantity), values in zip(parts, every, strict=True)
+        )
+        return cls(title, tuple(columns), note)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Write the texts of its rows."""
+        return [*zip(*(column.texts() for column in self.columns), strict=True)]
+
+    def __bool__(self) -> bool:
+        """Whether it has rows."""
+        return bool(self.columns) and len(self.columns[0].values) > 0
+
+
+class Chart(NamedTuple):
+    """A chart; `plot` writes it to a path, in a `style` of `plotting`."""
+
+    title: str
+    plot: Callable[..., Any]
+    caption: str
+
+
+class Section(NamedTuple):
+    """A part of what a result says, under a heading.
+
+    Attributes:
+        key: Its name for programs, and for links.
+        title: Its heading; those without one stand above all others.
+        text: Sentences; those after one that ends with a colon are its list.
+        tables: Tables.
+        charts: Charts; a terminal shows none.
+        tone: How the first sentence is meant.
+        folded: Whether it is for the curious: a page folds it, a terminal omits it.
+    """
+
+    key: str
+    title: str
+    text: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    charts: Sequence[Chart] = ()
+    tone: Tone = "plain"
+    folded: bool = False
+
+    def __bool__(self) -> bool:
+        """Whether it says anything."""
+        return bool(self.text or self.charts) or any(self.tables)
+
+
+def listed_texts(text: Sequence[str]) -> list[tuple[str, bool]]:
+    """Return sentences, and whether each is an item of a list."""
+    ends = [k for k, sentence in enumerate(text) if sentence.endswith(":")]
+    first = ends[0] if ends else len(text)
+    return [(sentence, k > first) for k, sentence in enumerate(text)]

@@ -1,0 +1,330 @@
+"""What a sweep found, and its page, beside its database."""
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal_jax._places import replacing
+from softcal_jax._tree import Chart, Column, Section, Table, Tone
+from softcal_jax._units import is_number, readable_values
+from softcal_jax.export import file_dict, made_dict
+from softcal_jax.report._html import REPEATED, closing, node, page
+from softcal_jax.report._verdict import verdict
+from softcal_jax.sweeps import (
+    FIT,
+    HELD_OUT,
+    OUT_OF_RANGE,
+    Sweep,
+    SweepResult,
+    TrialRow,
+    default_figures,
+    describe,
+    figure_name,
+    figure_values,
+    figures_of_the_robot,
+    plot_sweep,
+    shown,
+)
+
+KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
+MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
+MOST_COLUMNS = 4  # figures in a table for the terminal
+MOST_BEST, MOST_VALUES = 5, 8  # most trials among the best, and most values of an axis
+
+ROUNDING = 1e-9
+"""Standard deviation over the mean below which values differ by rounding alone."""
+
+_TONES: dict[str, Tone] = {
+    "converged": "plain",
+    "not converged": "doubtful",
+    "failed": "bad",
+}
+"""Tone in which the end of a trial is shown, by its state."""
+
+
+def sweep_sections(
+    result: SweepResult,
+    *,
+    by: Sequence[str] | None = None,
+    figures: Sequence[str] | None = None,
+    every: bool = False,
+) -> tuple[Section, ...]:
+    """Write the means of a sweep, or all of its trials, and what else there is.
+
+    Args:
+        result: The sweep, finished or not.
+        by: Axes that trials are grouped by; by default all but repetitions.
+        figures: Names of figures; by default the first that are numbers.
+        every: One line per trial instead of one per group.
+
+    Raises:
+        ValueError: If there is no such axis or figure.
+    """
+    good = len(result.of_state("converged"))
+    bad = len(result.rows) - good
+    tone: Tone = "plain" if not bad else "doubtful" if good else "bad"
+    chosen = default_figures(result)[:MOST_COLUMNS]
+    if figures is not None:
+        chosen = [result.figure(name) for name in figures]
+    others = [name for name in result.figure_names if name not in chosen]
+    said = [f"Also kept: {', '.join(others)} (--figure NAME)."] if others else []
+    if every:
+        shown_rows = trial_table("Trials", result, chosen, result.rows)
+    else:
+        shown_rows = _mean_table(result, result.groups(by), chosen)
+        if len(result.rows) > len(shown_rows.columns[0].values):
+            text = "Mean ± standard deviation over the trials that converged."
+            said.insert(0, text)
+    tables, spread = [shown_rows] if result.rows else [], _spread_table(result)
+    none = ["No trial has converged: there is nothing to average."]
+    none = none if result.rows and not spread else []
+    best, sentence = _best_trials(result)
+    varied = [_varied_table(result)]
+    return (
+        verdict(result.headline, tone, _doubts(result)),
+        Section("notes", "Notes", _notes(result), tone="doubtful"),
+        Section("means", "Means over repetitions", said, tables),
+        Section("best", "Best trials", sentence, best),
+        Section("varied", "What was varied", (), varied, folded=True),
+        Section("spread", "Spread of all trials", none, [spread], folded=not none),
+    )
+
+
+def trial_table(
+    title: str,
+    result: SweepResult,
+    figures: Sequence[str],
+    rows: Sequence[TrialRow],
+) -> Table:
+    """Tabulate figures of some trials."""
+    tones: list[Tone] = [_TONES[row.state] for row in rows]
+    points = {axis: [shown(row.point[axis]) for row in rows] for axis in result.axes}
+    columns = [
+        *(Column(axis, values) for axis, values in points.items()),
+        Column("outcome", [row.state for row in rows], tones=tones),
+        Column("time", [row.seconds for row in rows], "time"),
+    ]
+    for figure in figures:
+        values = [row.figures.get(figure) for row in rows]
+        columns.append(_column(result, figure, values))
+    return Table(title, tuple(columns))
+
+
+def _column(result: SweepResult, figure: str, values: Sequence[Any]) -> Column:
+    """Return values of a figure, under its name; an axis may have that, too."""
+    words, unit = figure_name(figure)
+    words += " found" * (words in result.axes)
+    return Column(words, values, unit.strip("-"), digits=5)
+
+
+def _mean_table(
+    result: SweepResult,
+    groups: Sequence[tuple[Mapping[str, Any], SweepResult]],
+    figures: Sequence[str],
+) -> Table:
+    """Tabulate the means of figures over groups of trials."""
+    axes = groups[0][0] if groups else ()
+    of = lambda part, state: len(part.of_state(state))
+    counts = {
+        "trials": [len(part.rows) for _, part in groups],
+        "not converged": [of(part, "not converged") for _, part in groups],
+        "failed": [of(part, "failed") for _, part in groups],
+        "to do": [len(part.missing) for _, part in groups],
+    }
+    columns = [
+        Column(axis, [shown(point[axis]) for point, _ in groups]) for axis in axes
+    ]
+    columns += [
+        Column(name, n, "count")
+        for name, n in counts.items()
+        if name == "trials" or any(n)
+    ]
+    for figure in figures:
+        each = [_mean(part, figure) for _, part in groups]
+        column = _column(result, figure, [mean for mean, _ in each])
+        columns.append(column._replace(errors=[std for _, std in each]))
+    return Table("Means", tuple(columns))
+
+
+def _mean(part: SweepResult, figure: str) -> tuple[Any, float]:
+    """Return the mean of a figure, and the standard deviation of several values."""
+    if any(row.figures.get(figure) == OUT_OF_RANGE for row in part.rows):
+        return OUT_OF_RANGE, np.nan
+    values = figure_values(part.of_state("converged"), figure)
+    values = values[np.isfinite(values)]
+    mean = float(np.mean(values)) if values.size else None
+    spread = float(np.std(values, ddof=1)) if values.size > 1 else np.nan
+    return mean, 0.0 if mean and spread < ROUNDING * abs(mean) else spread
+
+
+def _doubts(result: SweepResult) -> Iterator[str]:
+    """Say what failed, did not converge or is left to do."""
+    if bad := len(result.rows) - len(result.of_state("converged")):
+        what = "trial" if bad == 1 else "trials"
+        yield (
+            f"{bad} {what} failed or did not converge, and count in no mean, chart or "
+            "best value."
+        )
+    yield from (f"{state.capitalize()}, {text}" for state, text in result.reasons)
+    if left := len(result.missing):
+        what = "trial is" if left == 1 else "trials are"
+        yield f"{left} {what} left to do: the same command resumes from here."
+
+
+def _notes(result: SweepResult) -> tuple[str, ...]:
+    """Return the notes of trials that converged, each with the number of these."""
+    rows = result.of_state("converged")
+    counts = Counter(note for row in rows for note in row.notes)
+    many = lambda n: "1 trial" if n == 1 else f"{n} trials"
+    return tuple(f"{note} ({many(n)})" for note, n in counts.items())
+
+
+def _varied_table(result: SweepResult) -> Table:
+    """Tabulate the axes, with their values."""
+    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    rows = []
+    for axis in result.axes:
+        values = [point[axis] for point in points]
+        texts = list(dict.fromkeys(map(shown, values)))
+        listed = "; ".join(texts[:MOST_VALUES])
+        if len(texts) > MOST_VALUES:
+            listed += "; ..."
+            if all(map(is_number, values)):
+                listed = f"from {shown(min(values))} to {shown(max(values))}"
+        repeats = "repetition" if axis in result.repeats else "factor"
+        rows.append((axis, repeats, len(texts), listed))
+    return Table.of("Axes", "axis | kind | values | which", rows)
+
+
+def _best_trials(result: SweepResult) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    """Rank trials by the error of the prediction, or else by the error of the fit.
+
+    Returns:
+        A table, and the smallest error and its point in words; nothing without errors.
+    """
+    figures = figures_of_the_robot(result)
+    error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
+    if error is None:
+        return (), ()
+    values = figure_values(result.rows, error)
+    order = [
+        i for i in np.argsort(values, kind="stable").tolist() if values[i] == values[i]
+    ]
+    ranked = [result.rows[i] for i in order[:MOST_BEST]]
+    words, unit = figure_name(error)
+    least = readable_values([float(values[order[0]])], unit).rstrip()
+    text = f"The lowest {words} of {len(order)} trials is {least}, "
+    table = trial_table("Best trials", result, figures, ranked)
+    return (table,), (f"{text}at {describe(ranked[0].point)}.",)
+
+
+def _spread_table(result: SweepResult) -> Table:
+    """Tabulate each figure over all trials that converged."""
+    rows, units, errors = [], [], []
+    for figure in default_figures(result):
+        (name, unit), values = figure_name(figure), result.numbers(figure)
+        mean, error = _mean(result, figure)
+        ends = values.min(), np.median(values), values.max()
+        rows.append((name, values.size, mean, *ends))
+        units.append(unit.strip("-"))
+        errors.append(error)
+    heads = "figure | trials | mean ± standard deviation [*] | least [*] | median [*]"
+    about = {"mean ± standard deviation": {"errors": errors}}
+    more = {"units": units, "digits": 5, "about": about}
+    return Table.of("Figures of the trials", f"{heads} | most [*]", rows, **more)
+
+
+def sweep_page_of(database: str | os.PathLike[str]) -> Path:
+    """Return where the page of a sweep is: sweep_report.html beside sweep.sqlite."""
+    database = Path(database)
+    return database.parent / f"{database.stem}_report.html"
+
+
+def check_sweep_page(database: str | os.PathLike[str]) -> None:
+    """Raise unless the page of a sweep can be written; call it before a long run.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+    """
+    path = sweep_page_of(database)
+    if not path.exists():
+        return
+    head = path.read_bytes()[:200_000] if path.is_file() else b""
+    if str(node("p", KIND, class_="kind")).encode() not in head:
+        raise FileExistsError(
+            f"{path} is not a page of a sweep and would be overwritten. Move it away, "
+            "or give the database another name."
+        )
+
+
+def write_sweep(
+    result: SweepResult,
+    database: str | os.PathLike[str],
+    *,
+    sweep: Sweep | None = None,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the page of a sweep beside its database, whole or not at all.
+
+    Trials that failed or did not converge are in no mean or chart. With `sweep`, the
+    page also has settings, files with their SHA-256 and the command that repeats it.
+
+    Args:
+        result: The sweep, finished or not.
+        database: Its SQLite file; the page of `sweep.sqlite` is `sweep_report.html`.
+        sweep: The sweep file as it was loaded; None for a function of your own.
+        timing_s: Wall time per part [s].
+
+    Returns:
+        The page.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+        OSError: If the page cannot be written.
+    """
+    check_sweep_page(database)
+    path, database = sweep_page_of(database), Path(database)
+    made = made_dict(None if sweep is None else sweep.made, database.parent)
+    data = {**made, "timing_s": timing_s or {}, "files": [database.name]}
+    files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
+    figures = figures_of_the_robot(result)
+    repeated = any(len(part.rows) > 1 for _, part in result.groups())
+    tree = sweep_sections(result, figures=figures)
+    tree = [s for s in tree if s.key != "means" or repeated]
+    tree += _axes(result, figures)
+    tree += [_trials(result, figures)] if result.rows else []
+    again = {"files": files, "out": f"{REPEATED}.sqlite"}
+    tree += closing("sweep", data, [made["source"]], **again)
+    text = page(result.name, KIND, tree, index=database.name, units="SI")
+    with replacing(path) as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
+    return path
+
+
+def _axes(result: SweepResult, figures: Sequence[str]) -> Iterator[Section]:
+    """Draw the trials over each axis; what has one value in all shows nothing there."""
+    good = result.of_state("converged")
+    figures = [f for f in figures[:MOST_CHARTED] if np.ptp(result.numbers(f)) > 0.0]
+    axes = [a for a in result.axes if len({shown(row.point[a]) for row in good}) > 1]
+    for k, axis in enumerate(axes if figures else ()):
+        title = f"{', '.join(figure_name(f)[0] for f in figures)} over {axis}"
+        plot = partial(plot_sweep, result, by=[axis], figures=figures)
+        chart = Chart(title, plot, "One dot per trial.")
+        yield Section(f"axis{k}", f"By {axis}", charts=(chart,))
+
+
+def _trials(result: SweepResult, figures: Sequence[str]) -> Section:
+    words = []
+    if (more := len(result.rows) - MOST_TRIALS) > 0:
+        text = "more are in the database; softcal sweep show lists all of them with"
+        words.append(f"{more} {text} --all.")
+    if not_drawn := figures[MOST_CHARTED:]:
+        words.append(f"In this table but not plotted: {', '.join(not_drawn)}.")
+    few = result.rows[:MOST_TRIALS]
+    table = trial_table("Trials", result, figures, few)
+    return Section("trials", "All trials", tuple(words), (table,))
