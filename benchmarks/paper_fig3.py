@@ -33,7 +33,7 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.fields import exactly_known
-from softcal_jax.identifiability import Identifiability, identify, percent
+from softcal_jax.identifiability import Identifiability, identify
 
 REACHED = 1e-6 * LENGTH
 """||Delta_e|| at which a run counts as having arrived [m]."""
@@ -154,7 +154,9 @@ def _table(title: str, measured: MeasuredBeam, curves: Mapping[int, Curve]) -> T
 
 
 def _verdict_table(outlook: Identifiability) -> Table:
-    rows = [[d.words, percent(d.ratio), d.verdict] for d in outlook.directions]
+    rows = [
+        [d.words, f"{100.0 * d.ratio:.3g} %", d.verdict] for d in outlook.directions
+    ]
     columns = ["direction", "standard error over the asked one", "verdict"]
     return Table(
         f"1 configuration, where its run ended: {outlook.verdict} ({outlook.n_data} "
