@@ -182,7 +182,7 @@ def test_quadratic_tets_do_not():
 
 
 def test_steps_that_no_standard_error_could_see_are_not_taken(model, monkeypatch):
-    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=3e-4, seed=9)
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=3e-4, seed=1)
     parameters = [parameter(), Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")]
     fitted = calibrate(model, parameters, data, intervals=None)
     monkeypatch.setattr(weighing, "NOT_TAKEN", 1e-6)
@@ -402,9 +402,9 @@ def test_poisson_ratio_that_may_lock_warns():
 
 def test_result_and_history_print_for_a_person(recovered):
     text = str(recovered)
-    assert text.startswith(f"Calibration converged in {len(recovered.history) - 1} st")
-    assert "E = 1.6e+05 +- " in text
-    assert "push (validation): rms " in text
+    assert text.startswith("E = 160")
+    assert "Trust these values" in text
+    assert "Held-out error of push: " in text
     assert str(recovered.history[0]).startswith("step 0: rms ")
 
 

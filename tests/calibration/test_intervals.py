@@ -128,8 +128,9 @@ def test_it_ends_at_a_bound_that_the_data_do_not_exclude(poses):
     np.testing.assert_allclose(interval.upper, 410e3, rtol=1e-12)
     assert interval.lower_end == "likelihood"
     assert "410 (bound) kPa" in str(interval)
-    estimate = replace(result.parameters[0], interval=interval)
-    assert str(interval) in str(replace(result, parameters=(estimate,)))
+    first, *others = result.parameters
+    shown = replace(first, interval=interval), *others
+    assert str(interval) in str(replace(result, parameters=shown))
 
 
 def test_a_lower_cost_is_no_interval(result, poses):
