@@ -33,7 +33,7 @@ from softcal_jax.equilibrium._direction import (
 from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import STRAIGHT, NewtonSettings
+from softcal_jax.equilibrium._newton import NEAR, NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solve import EquilibriumSolution
 
@@ -63,7 +63,7 @@ class _Quick(NamedTuple):
     `residual` and `steps` are those of the last step that was taken. A Newton step
     takes the strains that are predicted along `du` from `u`, where they were `strains`
     (or, if `was_exact`, those of u). If `exact`, as where the residual is small, see
-    `STRAIGHT`, it takes those of the point. `sharp` tells whether the residual is below
+    `NEAR`, it takes those of the point. `sharp` tells whether the residual is below
     `SHARP`. `factor` belongs to the last Newton step; with `chord` the next step reuses
     it. `arrived`: in equilibrium, but the tangent may still be that of an earlier
     state; `converged`: and that step was taken.
@@ -177,7 +177,7 @@ class _QuickSteps(NamedTuple):
         size = self.residual(point, lambda_a)
         # Along straight lines, as the guess was extrapolated.
         du = jnp.zeros_like(guess) if before is None else guess - before
-        strains, exact = no_strains(self.model), (size <= STRAIGHT) | (before is None)
+        strains, exact = no_strains(self.model), (size <= NEAR) | (before is None)
         return _Quick(
             point=point,
             lambda_a=lambda_a,
@@ -276,7 +276,7 @@ class _QuickSteps(NamedTuple):
             was_exact=exact,
             u=s.point.u,
             du=posed.scatter(s.point.u, step.d),
-            exact=~taken | (size <= STRAIGHT),
+            exact=~taken | (size <= NEAR),
             sharp=taken & (size <= SHARP),
             factor=factor,
             chord=taken & ~arrived & close,

@@ -41,7 +41,7 @@ from softcal_jax.equilibrium._balance import (
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import STRAIGHT, NewtonSettings
+from softcal_jax.equilibrium._newton import NEAR, NewtonSettings
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._sparsity import product
 
@@ -144,7 +144,7 @@ def _both_steps(posed: Posed, point: Point, lambda_a, strains, exact):
     model, configuration, u = posed.model, posed.configuration, point.u
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     size = merit(posed, point, lambda_a, jnp.zeros_like(lambda_a))
-    exact = exact | (relative(posed, point, size, jnp.zeros(())).size <= STRAIGHT)
+    exact = exact | (relative(posed, point, size, jnp.zeros(())).size <= NEAR)
     mesh, internal = newton_terms(model, u, point.force, strains, exact)
     tangent = assemble(posed, point, lambda_a, mesh=mesh, active=active)
 
