@@ -114,12 +114,6 @@ class Setting(NamedTuple):
         """The configurations as arrays."""
         return self.lanes.arrays
 
-    def scopes(self, kind: str) -> Mapping[str, Scope]:
-        """Where errors of a kind of `KINDS` can occur, by what they belong to."""
-        on_host = jax.tree.map(np.asarray, self.arrays)
-        recordings = recording_names(self.configurations)
-        return KINDS[kind].occurs(self.model, on_host, recordings)
-
 
 def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     """List all unknowns of a calibration.
@@ -128,10 +122,16 @@ def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     scope: which entries are computed is part of a compiled program, so that one serves
     all poses.
     """
+    on_host = jax.tree.map(np.asarray, setting.arrays)
+    recordings = recording_names(setting.configurations)
+    scopes = {
+        name: kind.occurs(setting.model, on_host, recordings)
+        for name, kind in KINDS.items()
+    }
     return (
-        *_fitted(setting),
+        *_fitted(setting, scopes),
         *_of_fields(setting),
-        *_of_setup(setting),
+        *_of_setup(setting, scopes),
         _of_clamps(setting),
         _of_mesh(setting),
         *_of_creep(setting),
@@ -144,23 +144,27 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
     return [c.recording or c.name for c in configurations]
 
 
-def _fitted(setting: Setting) -> Iterator[Unknown]:
+Scopes = Mapping[str, Mapping[str, Scope]]
+"""Where errors can occur, by their kind in `KINDS` and by what they belong to."""
+
+
+def _fitted(setting: Setting, scopes: Scopes) -> Iterator[Unknown]:
     """List what is fitted, and where it occurs."""
     everywhere: Scope = ("",) * len(setting.configurations)
     for entry in setting.space.entries:
         scope = everywhere
         if isinstance(entry, SetupParameter):
-            scope = setting.scopes(entry.kind).get(entry.of, everywhere)
+            scope = scopes[entry.kind].get(entry.of, everywhere)
         yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
 
 
-def _of_setup(setting: Setting) -> Iterator[Unknown]:
+def _of_setup(setting: Setting, scopes: Scopes) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
     for name, kind in KINDS.items():
         cause, role = kind.uncertain, "noise" if kind.is_noise else "considered"
         stated = vars(setting.uncertain).get(cause, 0.0)
         std = kind.std if stated == "estimated" else stated
-        for of, scope in setting.scopes(name).items():
+        for of, scope in scopes[name].items():
             for axis in kind.components or ("",):
                 label = " ".join(word for word in (name, of, axis) if word)
                 entry = SetupError(label, std, name, of, axis)
