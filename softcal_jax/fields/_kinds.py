@@ -63,7 +63,7 @@ class Kind(NamedTuple):
         limit: Largest error by default; largest factor, also in project files.
         each: Whether configurations or recordings may have an unknown each.
         within: The kind in whose function and table it stands, if not in its own.
-        prefix: How its arguments begin there, like "turn_".
+        prefix: How its arguments begin there, as that of `turn_limit` does.
         section: Where a project file states what it can belong to.
         subjects: What that is, from a project file with its keys as attributes: names,
             with nominal values if the function takes them. By default the model says.
