@@ -32,8 +32,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SofaRelease
-from softcal_jax.exchange.sofa._configurations import scene_data
-from softcal_jax.exchange.sofa._export import write_scene
+from softcal_jax.exchange.sofa._export import scene_data, write_scene
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import TetMesh, beam

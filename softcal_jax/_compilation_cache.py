@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import platformdirs
 
-from softcal_jax._warnings import SoftcalWarning
+from softcal_jax._text import SoftcalWarning
 
 LARGEST = 2_000_000_000  # size above which the least recently used programs go [bytes]
 HAS_OLDER_CODE = jax.__version_info__ < (0, 11, 1)

@@ -9,7 +9,7 @@ import pytest
 from wording import says
 
 from softcal_jax.cli import main
-from softcal_jax.project import ProjectError, _printed, load_project
+from softcal_jax.project import ProjectError, _goals, load_project
 
 PROJECT = """\
 name = "finger"
@@ -246,7 +246,7 @@ def test_files_are_found_from_the_folder_of_the_design():
     top = {"photos": ["a.jpg"], "board": "../b.jpg", "name": "file"}
     measured = {"effectors": {"sensor": top}}
     raw = {"mesh": {"file": "finger.msh"}, "configurations": [{"measured": measured}]}
-    moved = _printed._moved(raw, Path(".."))
+    moved = _goals._moved(raw, Path(".."))
     assert moved["mesh"] == {"file": "../finger.msh"}
     there = {"photos": ["../a.jpg"], "board": "../../b.jpg", "name": "file"}
     there = {"effectors": {"sensor": there}}

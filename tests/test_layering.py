@@ -13,21 +13,10 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_warnings"},
-    {
-        *("_apart", "_compilation_cache", "_limits", "_names", "_places"),
-        *(
-            "_notebook",
-            "_process",
-            "_progress_line",
-            "_results",
-            "_text",
-            "_typing",
-            "_units",
-        ),
-    },
+    {"_apart", "_notebook", "_process", "_results", "_text", "_typing", "_units"},
     {"_lanes", "_module"},
     {"_files", "_tree"},
+    {"_compilation_cache"},
     {"elements"},
     {"mesh"},
     {"contact"},

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from softcal_jax._progress_line import progress_line
+from softcal_jax._process import progress_line
 
 
 class Terminal(io.StringIO):

@@ -2,7 +2,7 @@
 
 from wording import says
 
-from softcal_jax._names import unknown_name
+from softcal_jax._text import unknown_name
 
 
 def test_names_with_numbers_are_listed_in_their_order():

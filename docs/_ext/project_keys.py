@@ -40,17 +40,14 @@ from softcal_jax.materials import ELASTICITIES, LAWS
 from softcal_jax.project import (
     Project,
     Table,
-    _configurations,
     _design,
     _mechanism,
     _mesh,
-    _parameters,
     _reading,
     _sensors,
     _setup,
     toml_value,
 )
-from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import (
     MarkerEntry,
@@ -59,9 +56,9 @@ from softcal_jax.project._markers import (
     RegistrationTable,
     WindowTable,
 )
-from softcal_jax.project._problems import _in_words
 from softcal_jax.project._quantities import _OF_UNIT
-from softcal_jax.project._table import Maker, table_of
+from softcal_jax.project._sensors import AnyEffector
+from softcal_jax.project._table import Maker, _in_words, table_of
 
 PAGE = Path(__file__).parents[1] / "reference" / "project-file.md"
 
@@ -219,20 +216,14 @@ def sections() -> Iterator[Section]:
         yield Section(f'[effectors.NAME], type = "{name}"', table)
     yield Section("[markers]", MarkersTable)
     yield Section("A marker with its own std", MarkerEntry)
-    yield Section(
-        "[control_points.NAME]", _parameters.ControlPointsTable, (ControlPoints,)
-    )
+    yield Section("[control_points.NAME]", _setup.ControlPointsTable, (ControlPoints,))
     several = Parameter, ControlPointParameters
-    yield Section("[[parameters]]", _parameters.ParameterTable, several)
-    yield Section(
-        "[parameter_space]", _parameters.ParameterSpaceTable, (ParameterSpace,)
-    )
+    yield Section("[[parameters]]", _setup.ParameterTable, several)
+    yield Section("[parameter_space]", _setup.ParameterSpaceTable, (ParameterSpace,))
     for table in _setup._TABLES:
         yield Section(f"[[setup]], {_own_key(table)}", table)
-    yield Section(
-        "[[configurations]]", _configurations.ConfigurationTable, (Configuration,)
-    )
-    yield Section("gravity by size", _configurations.GravityTable)
+    yield Section("[[configurations]]", _design.ConfigurationTable, (Configuration,))
+    yield Section("gravity by size", _design.GravityTable)
     yield Section("An entry of supports", table_of(Support))
     for load in LOADS:
         yield Section(f"An entry of loads, {load.__name__}", table_of(load))

@@ -3,7 +3,11 @@
 from softcal_jax.actuators._actuator import (
     AbstractActuator as AbstractActuator,
     ActuatorGeometry as ActuatorGeometry,
+    ForceActuator as ForceActuator,
     Kind as Kind,
+    Motor as Motor,
+    SurfaceForceActuator as SurfaceForceActuator,
+    WeightedNodes as WeightedNodes,
 )
 from softcal_jax.actuators._arrays import (
     ActuatorArrays as ActuatorArrays,
@@ -22,12 +26,6 @@ from softcal_jax.actuators._cable import (
     Cable as Cable,
     CableSegments as CableSegments,
     Guide as Guide,
-)
-from softcal_jax.actuators._forces import (
-    ForceActuator as ForceActuator,
-    Motor as Motor,
-    SurfaceForceActuator as SurfaceForceActuator,
-    WeightedNodes as WeightedNodes,
 )
 from softcal_jax.actuators._pressure import (
     Chamber as Chamber,

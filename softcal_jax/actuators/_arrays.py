@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique
+from softcal_jax._text import check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
@@ -18,11 +18,11 @@ from softcal_jax.actuators._actuator import (
     AbstractPotentialCliques,
     ActuatorGeometry,
     Kind,
+    Motor,
     RestState,
     each_clique,
 )
 from softcal_jax.actuators._cable import FrictionalCables
-from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 
 

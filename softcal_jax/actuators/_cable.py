@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module, key
-from softcal_jax._names import check_known
+from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     OUTSIDE,

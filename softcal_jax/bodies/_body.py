@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module, if_any, key
-from softcal_jax._names import check_known, check_unique
+from softcal_jax._text import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.contact import AbstractShape
 from softcal_jax.mesh import TetMesh, node_indices

@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._names import check_known, listed
-from softcal_jax._process import check_process
-from softcal_jax._progress_line import progress_line
+from softcal_jax._process import check_process, progress_line
+from softcal_jax._text import check_known, listed
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,

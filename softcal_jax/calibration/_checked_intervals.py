@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from softcal_jax._names import MOST_NAMED, listed
 from softcal_jax._process import Clock
+from softcal_jax._text import MOST_NAMED, listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed

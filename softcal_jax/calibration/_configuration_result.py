@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, Result
-from softcal_jax._names import MOST_NAMED, listed
+from softcal_jax._text import MOST_NAMED, listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise

@@ -8,10 +8,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module
-from softcal_jax._names import MOST_NAMED, listed
+from softcal_jax._text import MOST_NAMED, SoftcalWarning, listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult, off_by
 from softcal_jax.calibration._problem import (
     CalibrationProblem,

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
-from softcal_jax._names import MOST_NAMED, check_known, listed
+from softcal_jax._text import MOST_NAMED, check_known, listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._checkpoint import HistoryEntry

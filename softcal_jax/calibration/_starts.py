@@ -9,8 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import listed
 from softcal_jax._process import check_process
+from softcal_jax._text import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal, from_scaled, marker_rms

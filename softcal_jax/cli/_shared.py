@@ -20,10 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import shtab
 
-from softcal_jax._names import listed
-from softcal_jax._places import cause, check_place
-from softcal_jax._text import escaped, with_short_names
-from softcal_jax._warnings import SoftcalWarning
+from softcal_jax._files import cause, check_place
+from softcal_jax._text import SoftcalWarning, escaped, listed, with_short_names
 from softcal_jax.cli._display import Display
 
 if TYPE_CHECKING:

@@ -5,7 +5,6 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays as EffectorArrays,
     Observed as Observed,
 )
-from softcal_jax.configurations._beyond import beyond as beyond
 from softcal_jax.configurations._boundary import (
     LOADS as LOADS,
     AbstractLoad as AbstractLoad,
@@ -20,6 +19,7 @@ from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY as STANDARD_GRAVITY,
     Configuration as Configuration,
     ConfigurationLanes as ConfigurationLanes,
+    beyond as beyond,
     configuration_arrays as configuration_arrays,
     configuration_lanes as configuration_lanes,
     measured_as as measured_as,

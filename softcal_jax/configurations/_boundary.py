@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax import mesh as meshes
 from softcal_jax._module import Module, key
-from softcal_jax._names import UNNAMED_LOADS, parse_axes
+from softcal_jax._text import UNNAMED_LOADS, parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._arrays import Springs

@@ -11,8 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file, once
-from softcal_jax._names import check_known, check_unique, suggestion
-from softcal_jax._text import check_characters, from_cell
+from softcal_jax._text import (
+    check_characters,
+    check_known,
+    check_unique,
+    from_cell,
+    suggestion,
+)
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 

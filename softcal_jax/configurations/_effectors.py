@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._module import key
-from softcal_jax._names import check_known
+from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.bodies import (
     BodyArrays,

@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module, key
-from softcal_jax._names import check_unique, parse_axes, suggestion
+from softcal_jax._text import check_unique, parse_axes, suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats, three_numbers

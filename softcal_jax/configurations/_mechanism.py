@@ -9,7 +9,7 @@ import numpy as np
 
 from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
-from softcal_jax._names import check_known
+from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Bool, Float, HostArray, is_traced
 from softcal_jax.actuators import (
     AbstractActuator,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique
+from softcal_jax._text import check_unique
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._markers import MarkerTable, index_of
 

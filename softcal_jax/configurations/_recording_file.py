@@ -21,10 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._apart import run_apart
-from softcal_jax._files import check_file
-from softcal_jax._limits import MESHING_MEGABYTES, MESHING_SECONDS
-from softcal_jax._names import check_known
-from softcal_jax._text import escaped
+from softcal_jax._files import MESHING_MEGABYTES, MESHING_SECONDS, check_file
+from softcal_jax._text import check_known, escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 from softcal_jax.configurations import _csv_table as csv_table

@@ -10,11 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, suggestion
-from softcal_jax._text import shortened
+from softcal_jax._text import SoftcalWarning, check_known, shortened, suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import _csv_table as csv_table
 from softcal_jax.configurations._csv_table import CsvTable

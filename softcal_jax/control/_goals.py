@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, listed, parse_axes
+from softcal_jax._text import check_known, listed, parse_axes
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Kind
 from softcal_jax.bodies import Pose

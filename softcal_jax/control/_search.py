@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._results import RESULTS
+from softcal_jax._text import SoftcalWarning
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.control._inputs import (
     ActuatorCompliance,
     ActuatorReadings,

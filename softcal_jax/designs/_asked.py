@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal_jax._names import check_known, listed
+from softcal_jax._text import check_known, listed
 from softcal_jax._units import readable
 from softcal_jax.configurations import (
     Configuration,
@@ -14,8 +14,7 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.control import Limits, limit_arrays
-from softcal_jax.designs._foam import FoamTable
-from softcal_jax.designs._foam_region import foam_region, isotropic_range
+from softcal_jax.designs._foam import FoamTable, foam_region, isotropic_range
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import (
     ControlPointParameters,

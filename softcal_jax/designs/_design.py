@@ -21,9 +21,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import GoalFit, Limits
 from softcal_jax.designs._asked import check_goals, commands, within
-from softcal_jax.designs._deviations import Change, Printing, specimens
 from softcal_jax.designs._foam import FoamTable
-from softcal_jax.designs._holding import held_by, trades
 from softcal_jax.designs._peaks import (
     KEPT,
     MOST_TIGHTENED,
@@ -32,8 +30,21 @@ from softcal_jax.designs._peaks import (
     aimed,
     peaks,
 )
-from softcal_jax.designs._printing import design_goals, over_specimens
-from softcal_jax.designs._result import Alternative, DesignResult, error_of, expected_of
+from softcal_jax.designs._printing import (
+    Change,
+    Printing,
+    design_goals,
+    over_specimens,
+    specimens,
+)
+from softcal_jax.designs._result import (
+    Alternative,
+    DesignResult,
+    error_of,
+    expected_of,
+    held_by,
+    trades,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
     ControlPointParameters,

@@ -1,7 +1,6 @@
 """Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
 
 from softcal_jax._results import RESULTS as RESULTS
-from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
     add_weighted as add_weighted,
     energy_and_force as energy_and_force,
@@ -28,15 +27,8 @@ from softcal_jax.equilibrium._build_model import (
     with_points as with_points,
 )
 from softcal_jax.equilibrium._continuation import (
+    Known as Known,
     continue_equilibrium as continue_equilibrium,
-)
-from softcal_jax.equilibrium._devices import (
-    map_lanes as map_lanes,
-    use_cores as use_cores,
-)
-from softcal_jax.equilibrium._effectors import (
-    actuator_forces as actuator_forces,
-    effector_values as effector_values,
 )
 from softcal_jax.equilibrium._element import (
     Formulation as Formulation,
@@ -55,13 +47,13 @@ from softcal_jax.equilibrium._linearisation import (
     sensitivity as sensitivity,
     solved_forces as solved_forces,
 )
-from softcal_jax.equilibrium._model import Model as Model
-from softcal_jax.equilibrium._newton import NewtonSettings as NewtonSettings
-from softcal_jax.equilibrium._omissions import (
+from softcal_jax.equilibrium._model import (
+    Model as Model,
     Omission as Omission,
     omission_sentences as omission_sentences,
     omissions as omissions,
 )
+from softcal_jax.equilibrium._newton import NewtonSettings as NewtonSettings
 from softcal_jax.equilibrium._path import (
     EquilibriumPath as EquilibriumPath,
     LoadPath as LoadPath,
@@ -73,7 +65,9 @@ from softcal_jax.equilibrium._robot_state import (
     BodyPlace as BodyPlace,
     Reaction as Reaction,
     RobotState as RobotState,
+    actuator_forces as actuator_forces,
     actuator_states as actuator_states,
+    effector_values as effector_values,
     marker_positions as marker_positions,
     robot_states as robot_states,
 )
@@ -88,5 +82,7 @@ from softcal_jax.equilibrium._solve import (
 from softcal_jax.equilibrium._workers import (
     Program as Program,
     Workers as Workers,
+    map_lanes as map_lanes,
     usable_cores as usable_cores,
+    use_cores as use_cores,
 )

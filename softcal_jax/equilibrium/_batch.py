@@ -12,18 +12,18 @@ import numpy as np
 from softcal_jax._lanes import stacked
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._approach import (
+from softcal_jax.equilibrium._assembly import tet_states
+from softcal_jax.equilibrium._continuation import (
     Known,
     approach,
     detours,
     distances,
     unloaded,
 )
-from softcal_jax.equilibrium._assembly import tet_states
-from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import trace_equilibria
+from softcal_jax.equilibrium._robot_state import effector_values
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution,
     begin_newton,

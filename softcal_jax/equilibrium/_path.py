@@ -38,11 +38,11 @@ from softcal_jax.equilibrium._balance import (
     stiffness_of_gaps,
     unbalanced,
 )
-from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._element import Strains
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NEAR, NewtonSettings
 from softcal_jax.equilibrium._posed import Posed, one_lane
+from softcal_jax.equilibrium._robot_state import effector_values
 from softcal_jax.equilibrium._sparsity import product
 
 MOST_ITERATIONS = 12  # corrections after which a step is halved

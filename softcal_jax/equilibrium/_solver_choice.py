@@ -15,8 +15,8 @@ import jax
 import numpy as np
 from scipy import sparse
 
-from softcal_jax._names import suggestion
 from softcal_jax._process import available_cores
+from softcal_jax._text import suggestion
 from softcal_jax.equilibrium._linear_solver import (
     AbstractLinearSolver,
     Klu,

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import shtab
 
-from softcal_jax._warnings import SoftcalWarning
+from softcal_jax._text import SoftcalWarning
 
 
 class ExportProgress(NamedTuple):

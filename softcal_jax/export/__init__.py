@@ -24,13 +24,11 @@ from softcal_jax.export._made import (
     POINT as POINT,
     Made as Made,
     file_dict as file_dict,
+    latex as latex,
     made_dict as made_dict,
     plain as plain,
-    write_json as write_json,
-)
-from softcal_jax.export._tables import (
-    latex as latex,
     write_csv as write_csv,
+    write_json as write_json,
     write_rows as write_rows,
 )
 from softcal_jax.export._vtu import (

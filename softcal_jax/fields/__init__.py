@@ -39,19 +39,17 @@ from softcal_jax.fields._space import (
     as_space as as_space,
     check_names as check_names,
 )
-from softcal_jax.fields._standard_errors import (
+from softcal_jax.fields._start import (
     PRECISION as PRECISION,
+    SEVERAL as SEVERAL,
     WEAK_UP_TO as WEAK_UP_TO,
     asked_errors as asked_errors,
-    check_precision as check_precision,
-    field_standard_errors as field_standard_errors,
-)
-from softcal_jax.fields._start import (
-    SEVERAL as SEVERAL,
     check_parameters as check_parameters,
+    check_precision as check_precision,
     check_scopes as check_scopes,
     check_starts as check_starts,
     default_starts as default_starts,
+    field_standard_errors as field_standard_errors,
     random_starts as random_starts,
 )
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, parse_axes
+from softcal_jax._text import check_known, parse_axes
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.fields._parameters import (

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import UNNAMED_LOADS, check_known
+from softcal_jax._text import UNNAMED_LOADS, check_known
 from softcal_jax._typing import Bool, HostArray, is_traced
 
 Scope = tuple[Hashable | None, ...]

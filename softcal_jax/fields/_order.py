@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._text import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
 from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values

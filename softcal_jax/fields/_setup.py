@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._names import check_known, name_key
+from softcal_jax._text import check_known, name_key
 from softcal_jax._typing import Float
 from softcal_jax.fields._kinds import KINDS, Kind
 from softcal_jax.fields._parameters import (

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, check_unique
+from softcal_jax._text import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (

@@ -7,13 +7,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax._module import Module, Result
-from softcal_jax._names import listed
+from softcal_jax._text import listed
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import MISSED, CalibrationResult, ConfigurationResult
 from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
-from softcal_jax.identifiability._result import Identifiability
-from softcal_jax.identifiability._spread import Verdict
+from softcal_jax.identifiability._result import Identifiability, Verdict
 from softcal_jax.mesh import thin_share
 from softcal_jax.unknowns import MESH
 

@@ -45,9 +45,10 @@ from softcal_jax.fields import (
     check_parameters,
     check_precision,
 )
-from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
-from softcal_jax.identifiability._spread import (
+from softcal_jax.identifiability._result import (
     WEAK_UP_TO,
+    Identifiability,
+    ParameterOutlook,
     Spread,
     conditioning,
     information,

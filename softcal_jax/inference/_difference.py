@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from softcal_jax._module import Module
-from softcal_jax._names import listed
+from softcal_jax._text import listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.fields import ParameterSpace

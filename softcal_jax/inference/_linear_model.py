@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known
+from softcal_jax._text import check_known
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.inference._least_squares import (
     Determined,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from softcal_jax._module import Module, Result
-from softcal_jax._names import listed
+from softcal_jax._text import listed
 from softcal_jax._typing import HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.identifiability import Identifiability

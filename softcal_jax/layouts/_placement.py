@@ -9,9 +9,8 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from softcal_jax._lanes import stacked
-from softcal_jax._names import check_known, parse_axes
+from softcal_jax._text import SoftcalWarning, check_known, parse_axes
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import (
     Configuration,

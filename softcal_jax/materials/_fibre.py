@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module, if_any
-from softcal_jax._names import check_known
+from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
     Constant,

@@ -4,14 +4,19 @@ Everything here runs on the host in NumPy, once, before the physics. Lengths are
 metres.
 """
 
-from softcal_jax.mesh._checks import check_mesh as check_mesh
-from softcal_jax.mesh._generators import beam as beam, oriented as oriented
+from softcal_jax.mesh._generators import (
+    Filling as Filling,
+    Grid as Grid,
+    beam as beam,
+    fill as fill,
+    oriented as oriented,
+)
 from softcal_jax.mesh._location import (
     MaterialPoints as MaterialPoints,
     locate as locate,
 )
-from softcal_jax.mesh._meshio import MeshWarning as MeshWarning
 from softcal_jax.mesh._reading import (
+    MeshWarning as MeshWarning,
     mesh_files as mesh_files,
     read_mesh as read_mesh,
     read_tet_data as read_tet_data,
@@ -59,6 +64,7 @@ from softcal_jax.mesh._topology import (
     Tessellation as Tessellation,
     boundary_faces as boundary_faces,
     boundary_tets as boundary_tets,
+    check_mesh as check_mesh,
     face_areas as face_areas,
     face_indices as face_indices,
     face_products as face_products,
@@ -70,4 +76,3 @@ from softcal_jax.mesh._topology import (
     thin_share as thin_share,
     volumes as volumes,
 )
-from softcal_jax.mesh._voxels import Filling as Filling, Grid as Grid, fill as fill

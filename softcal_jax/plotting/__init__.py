@@ -4,20 +4,19 @@ from softcal_jax.plotting._calibration import (
     draw_budget as draw_budget,
     draw_course as draw_course,
     draw_errors as draw_errors,
+    draw_traces as draw_traces,
+    draw_trials as draw_trials,
     draw_workspace as draw_workspace,
+    plot_panels as plot_panels,
+    plot_traces as plot_traces,
 )
 from softcal_jax.plotting._configuration import (
     LABELS as LABELS,
     NOT_CONVERGED as NOT_CONVERGED,
     motion_words as motion_words,
+    plot_groups as plot_groups,
     render_body as render_body,
     render_configuration as render_configuration,
-)
-from softcal_jax.plotting._diagrams import (
-    draw_traces as draw_traces,
-    draw_trials as draw_trials,
-    plot_panels as plot_panels,
-    plot_traces as plot_traces,
 )
 from softcal_jax.plotting._fibres import (
     draw_fibres as draw_fibres,
@@ -32,14 +31,11 @@ from softcal_jax.plotting._figure import (
     PictureStyle as PictureStyle,
     printed as printed,
 )
-from softcal_jax.plotting._groups import plot_groups as plot_groups
-from softcal_jax.plotting._obstacles import (
+from softcal_jax.plotting._plan import (
+    MOST_PANELS as MOST_PANELS,
     PlacedObstacle as PlacedObstacle,
     obstacle_surface as obstacle_surface,
     obstacles_at as obstacles_at,
-)
-from softcal_jax.plotting._plan import (
-    MOST_PANELS as MOST_PANELS,
     plot_plan as plot_plan,
 )
 from softcal_jax.plotting._robot import (

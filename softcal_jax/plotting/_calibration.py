@@ -1,16 +1,33 @@
-"""Charts of a calibration: its errors, its course, and where its spread comes from."""
+"""Charts: a calibration and its errors, a recording over time, trials of a sweep."""
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softcal_jax._text import escaped
-from softcal_jax._units import readable_unit
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import is_number, readable_unit
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
-from softcal_jax.plotting._figure import BAD, SERIES, TEXT, Axes, draw_grid
+from softcal_jax.configurations import Traces
+from softcal_jax.plotting._figure import (
+    BAD,
+    COLUMN,
+    FAINT,
+    INCH,
+    SCREEN,
+    SERIES,
+    TEXT,
+    Axes,
+    PictureStyle,
+    add_legend,
+    draw_grid,
+    printed,
+)
 
 LEAST_NAMED = 0.01  # share of a variance of which the cause is named [-]
 
@@ -151,3 +168,207 @@ def draw_on_bound(axes: Axes, x, y) -> None:
     """Mark values that stand on a bound, by open squares."""
     squares = {"ls": "none", "marker": "s", "mfc": "white", "mec": BAD, "zorder": 3}
     axes.plot(x, y, **squares, label="on a bound")
+
+
+_WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")  # light enough for lines above them
+_MOST_NAMES = 14  # markers that get a legend: two for each colour
+_AROUND, _SHORTEST = 1.0, 3  # time beside a window: in its lengths, at least in frames
+_LINE = 1.4 * INCH / 72.0  # height of a line, over the size of its words [mm/pt]
+_MOST_TICKS = 12  # values on an axis, each with its label
+
+
+def plot_traces(
+    traces: Traces,
+    path: str | Path,
+    *,
+    name: str = "recording",
+    style: PictureStyle = SCREEN,
+) -> None:
+    """Plot the motion of the markers of a recording, and each window of it close up.
+
+    The file is PNG, SVG or PDF; `name` is that of the configuration.
+    """
+    windows = None, *dict.fromkeys(traces.windows.values())
+    drawn = [partial(draw_traces, traces=traces, window=window) for window in windows]
+    title = f"{name}: windows taken from {Path(traces.recording.source).name}"
+    plot_panels(path, drawn, style=style, title=title)
+
+
+def draw_traces(
+    axes: Axes, traces: Traces, *, window: tuple[float, float] | None = None
+) -> Axes:
+    """Draw the distance of each marker of a recording from its first place over time.
+
+    A line breaks where its marker was occluded. Windows are coloured, events are dotted
+    lines. With a `window` [s], its surroundings are drawn close up, as distances from
+    the mean over it.
+    """
+    recording = traces.recording
+    named: dict[tuple[float, float], str] = {}
+    for what, times in traces.windows.items():
+        named[times] = f"{named[times]}, {what}" if times in named else what
+    for k, ((start, stop), label) in enumerate(named.items()):
+        colour = _WINDOWS[k % len(_WINDOWS)]
+        # A single frame is drawn as a line.
+        axes.axvspan(start, stop, color=colour, zorder=0, label=label)
+    columns = [recording.names.index(name) for name in traces.names]
+    places, times = recording.positions[:, columns], recording.times
+    seen = np.isfinite(places).all(axis=2)
+    origin = places[np.argmax(seen, axis=0), np.arange(len(columns))]
+    what = "first frame"
+    if window is not None:
+        start, stop = window
+        inside = (times >= start) & (times <= stop)
+        what = "mean"
+        origin = np.ma.masked_invalid(places[inside]).mean(axis=0).filled(np.nan)
+        # Positions outside the window may be far away, and are cut off.
+        off = np.linalg.norm(places[inside] - origin, axis=2)
+        axes.set_ylim(0.0, 3e3 * max(np.nanmax(off, initial=0.0), 1e-6))
+        frame = float(np.median(np.diff(times))) if times.size > 1 else 1.0
+        beside = max(_AROUND * (stop - start), _SHORTEST * frame)
+        axes.set_xlim(start - beside, stop + beside)
+    away = 1e3 * np.linalg.norm(places - origin, axis=2)
+    few = len(columns) <= _MOST_NAMES
+    for i, name in enumerate(traces.names):
+        colour, dashes = SERIES[i % len(SERIES)], "-" if i < len(SERIES) else "--"
+        label = name if few else None
+        axes.plot(times, away[:, i], dashes, color=colour, label=label)
+    look = {"fontsize": "small", "color": FAINT, "va": "top", "parse_math": False}
+    where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    for event, time in recording.events:
+        axes.axvline(time, color=FAINT, ls=":")
+        place = {**where, "xytext": (3, -3), "annotation_clip": True}
+        axes.annotate(event, (time, 1.0), **place, **look)
+    axes.set(xlabel="time [s]", ylabel=f"distance from\n{what} [mm]")
+    return draw_grid(axes)
+
+
+def draw_trials(
+    axes: Axes,
+    where: Sequence[float] | Sequence[str],
+    values: Float[HostArray, " n"],
+    *,
+    axis: str = "",
+    name: str = "",
+    unit: str = "",
+    truth: Float[HostArray, " n"] | None = None,
+    on_bound: Bool[HostArray, " n"] | None = None,
+) -> Axes:
+    """Draw a figure of some trials over their values on an axis: one dot per trial.
+
+    Numbers make a scatter; words make groups, each with a bar at its mean.
+
+    Args:
+        axes: Where to draw; the unit of its ticks is the one that reads best.
+        where: Value of each trial on the axis.
+        values: The figure, in SI; nan is not drawn.
+        axis: Name of the axis.
+        name: Name of the figure.
+        unit: SI unit of the figure.
+        truth: True value of each trial, in SI, as a dashed line; nan where there is
+            none.
+        on_bound: Whether the value stands on a bound: an open square instead of a dot.
+
+    Returns:
+        The axes, with labels for a legend.
+    """
+    truth = np.full(len(values), np.nan) if truth is None else truth
+    on_bound = np.zeros(len(values), bool) if on_bound is None else on_bound
+    factor, shown = readable_unit([*values, *truth], unit)
+    values, truth = factor * values, factor * truth
+    label = f"{escaped(name)} [{shown}]" if shown not in ("", "-") else escaped(name)
+    axes.set_ylabel(label, parse_math=False)
+    axes.set_xlabel(escaped(axis), parse_math=False)
+    draw_grid(axes)
+    spans = {}
+    if all(map(is_number, where)):
+        places = np.asarray(where, float)
+        axes.margins(0.06)
+        ticks = sorted(set(where))
+        if len(ticks) <= _MOST_TICKS:
+            axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
+        beside = 0.04 * np.ptp(places) or 0.5
+        spans[places.min() - beside, places.max() + beside] = truth
+    else:
+        named = np.array([escaped(str(word)) for word in where])
+        groups, places, means = (
+            list(dict.fromkeys(named.tolist())),
+            np.zeros(len(named)),
+            [],
+        )
+        for i, group in enumerate(groups):
+            members = named == group
+            good = np.flatnonzero(members & np.isfinite(values))
+            # Spread sideways in order, so that equal values do not hide each other.
+            places[good] = i + np.linspace(-0.25, 0.25, good.size) * (good.size > 1)
+            means.append(values[good].mean() if good.size else np.nan)
+            spans[i - 0.4, i + 0.4] = truth[members]
+        left = np.arange(len(groups)) - 0.35
+        axes.hlines(means, left, left + 0.7, color=SERIES[1], label="mean")
+        axes.set_xticks(left + 0.35, groups, parse_math=False)
+        axes.set_xlim(-0.6, len(groups) - 0.4)
+    # One truth of all that stand there, or none.
+    true = {e: t[0] for e, t in spans.items() if np.isfinite(t).all() and not np.ptp(t)}
+    if true:
+        look = {"color": TEXT, "ls": "--", "label": "true value"}
+        axes.hlines(list(true.values()), *np.transpose(list(true)), **look)
+    dots = {"ls": "none", "marker": "o", "color": SERIES[0], "alpha": 0.55, "mew": 0}
+    axes.plot(places[~on_bound], values[~on_bound], **dots)
+    if np.any(np.isfinite(values[on_bound])):
+        draw_on_bound(axes, places[on_bound], values[on_bound])
+    return axes
+
+
+def plot_panels(
+    path: str | Path,
+    drawn: Sequence[Callable[[Axes], Axes]],
+    *,
+    columns: int = 1,
+    shared: bool = False,
+    lines: float | None = None,
+    style: PictureStyle = COLUMN,
+    title: str = "",
+) -> None:
+    """Write charts as one picture, with one legend.
+
+    Args:
+        path: PNG, SVG or PDF file.
+        drawn: Functions that draw a chart each, row by row.
+        columns: Number of charts beside each other.
+        shared: Whether the charts of a row have one vertical axis, and those of a
+            column one horizontal axis.
+        lines: Height of a chart, in lines of its words; by default as suits its width.
+        style: Width, size of words, resolution.
+        title: Title of the picture.
+    """
+    from matplotlib.ticker import FixedLocator as Fixed
+
+    rows = math.ceil(len(drawn) / columns)
+    line = _LINE * style.font_size
+    tall = lines or np.clip(0.4 * style.width_mm / columns / line, 9.0, 16.0)
+    height = (rows * tall + 3.5 + 2.0 * bool(title)) * line / style.width_mm
+    share: dict[str, Any] = {"sharex": "col", "sharey": "row"} if shared else {}
+    with printed(path, style, height=height) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, **share)
+        for axes, draw in zip(panels.flat, drawn, strict=True):
+            draw(axes)
+            if shared:
+                axes.label_outer()
+        if title:
+            look = {"fontsize": "large", "weight": "bold", "color": TEXT}
+            figure.suptitle(title, **look, parse_math=False)
+        known = [axes.get_legend_handles_labels() for axes in panels.flat]
+        entries = {word: h for pair in known for h, word in zip(*pair, strict=True)}
+        if entries:
+            handles = list(entries.values())
+            add_legend(figure, handles, figure.bbox.width, "outside lower left")
+        figure.align_ylabels()
+        named = [
+            a for a in panels.flat if isinstance(a.xaxis.get_major_locator(), Fixed)
+        ]
+        if named:
+            figure.draw_without_rendering()  # which places the words
+        for axes in named:
+            boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+            if any(a.padded(2.0).overlaps(b) for a, b in itertools.pairwise(boxes)):
+                axes.tick_params(axis="x", labelrotation=90)

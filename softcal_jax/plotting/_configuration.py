@@ -1,35 +1,213 @@
-"""Draw one configuration: the body, and measured beside simulated markers.
+"""Draw one configuration, or a mesh with its named groups.
 
 VTK draws the body, and Matplotlib draws text, markers and scales over and around it, so
 that markers inside or behind the body are visible and no texts overlap.
 """
 
+import colorsys
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.plotting import _figure as figures, _robot as robots
+from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
+from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import (
     SCREEN,
+    SERIES,
+    Axes,
     PictureStyle,
     add_axes,
     add_view,
+    in_points,
     printed,
 )
-from softcal_jax.plotting._obstacles import (
+from softcal_jax.plotting._plan import (
     name_obstacles,
     obstacles_at,
     placed_surfaces,
 )
 from softcal_jax.plotting._scene import body_image
-from softcal_jax.plotting._view import choose_view, fit_body
+from softcal_jax.plotting._view import View, VisibleFaces, choose_view, fit_body
+
+Colour = tuple[float, float, float]
+
+_COLUMNS, _HEADING = 2, 40  # of panels; height of a heading [pixels]
+_ROOM = 1.15  # room for the body and names, over its width and height
+_DARKEST, _PALE = 0.72, 0.25  # brightness seen from the side, share of white in colours
+_PLAIN, _CUT = -1, -2
+"""Group numbers of faces in no group: on the surface, and where the body is cut. As
+indices from the end they pick from `_NO_GROUP`, which follows the groups' colours."""
+
+_NO_GROUP = ((0.8, 0.8, 0.75), (0.92, 0.92, 0.92))
+"""Colours of what is cut, and of other faces in no group."""
+
+_GOLDEN = 0.618  # step around the wheel that keeps any number of colours apart
+_LEAST = 30  # pixels of a group that are seen where its name stands
+
+
+def plot_groups(
+    mesh: TetMesh,
+    path: str | Path,
+    *,
+    title: str = "",
+    style: PictureStyle = SCREEN,
+) -> None:
+    """Draw a mesh [m] with every group named and coloured, as PNG, SVG or PDF.
+
+    Four panels show it from the front and from behind, and its halves after a cut, with
+    the walls of cavities. A face in several groups has the colour of the last; a group
+    that is seen in no panel is called hidden. Groups of nodes alone are dots.
+    """
+    from matplotlib.patches import Patch
+
+    faced = {**mesh.tet_groups, **mesh.surface_groups}
+    # Groups that a user has named get the colours that are farthest apart.
+    every = faced | mesh.node_groups
+    groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
+    colours = _colours(len(groups))
+    panels = _panels(mesh, style.seen_from)
+    front = panels["from the front"][0]
+    each = style.pixels // _COLUMNS
+    panel = width, height, scale = views.fit_panel(front, each, _ROOM)
+    shown = [_faces(mesh, groups, *what) for what in panels.values()]
+    every = zip(panels.values(), shown, strict=True)
+    images = [_image(view, *what, panel) for (view, _), what in every]
+    n = len(groups)
+    seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
+    total = len(panels) // _COLUMNS * (height + _HEADING)
+    with printed(path, style, height=total / style.pixels) as figure:
+        for k, (heading, (view, drawn)) in enumerate(panels.items()):
+            row, column = divmod(k, _COLUMNS)
+            bottom = total - (row + 1) * (height + _HEADING)
+            left = column * each + (each - width) // 2
+            axes = add_view(figure, left, bottom, width, height, scale=scale)
+            axes.set_title(heading)
+            faces, group = shown[k]
+            # Darker where they are seen from the side.
+            light = _DARKEST + (1.0 - _DARKEST) * faces.light
+            shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
+            figures.draw_faces(axes, view, faces.corners, shades)
+            called = dict(zip(groups, colours, strict=True))
+            _draw_nodes(axes, view, mesh, drawn, called)
+            best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
+            for index in np.flatnonzero(best):
+                # Amidst its pixels, and on one of them.
+                places = np.argwhere(images[k] == index)[:, ::-1]
+                off = np.linalg.norm(places - places.mean(axis=0), axis=1)
+                nearest = places[np.argmin(off)] + 0.5
+                place = (nearest - 0.5 * np.array([width, height])) / scale
+                look = {"ha": "center", "va": "center"}
+                figures.draw_name(axes, groups[index], place, (0, 0), **look)
+        names = [
+            f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
+            for k, name in enumerate(groups)
+        ]
+        handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+        figures.draw_frame(figure, front, handles, scale=scale, title=title)
+
+
+def _panels(
+    mesh: TetMesh, seen_from: Sequence[float] | None = None
+) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
+    """Choose the views, and the tets that each shows, by their headings."""
+    still, none = np.zeros_like(mesh.points), np.zeros((0, 3))
+    front = views.choose_view(mesh.points, still, none, seen_from=seen_from)
+    behind = front._replace(right=-front.right, towards=-front.towards)
+    middle = mesh.points.mean(axis=0)
+    axes = np.linalg.svd(mesh.points - middle, full_matrices=False)[2]
+    across = axes[np.argmax(np.abs(axes @ front.towards))]
+    beyond = (mesh.centroids - middle) @ across * (across @ front.towards) < 0.0
+    whole = np.ones(mesh.n_tets, bool)
+    return {
+        "from the front": (front, whole),
+        "from behind": (behind, whole),
+        "cut, from the front": (front, beyond),
+        "cut, from behind": (behind, ~beyond),
+    }
+
+
+def _image(
+    view: View,
+    faces: VisibleFaces,
+    group: Int[HostArray, " n_faces"],
+    panel: tuple[int, int, float],
+) -> Int[HostArray, "_ _"]:
+    """Draw the number of the group that is seen at each pixel, negative for none."""
+    from PIL import Image, ImageDraw
+
+    width, height, scale = panel
+    pixels = scale * view.project(faces.corners) + np.array([0.5 * width, 0.5 * height])
+    image = Image.new("I", (width, height), -1)
+    draw = ImageDraw.Draw(image)
+    for corners, index in zip(pixels, group.tolist(), strict=True):
+        draw.polygon([tuple(corner) for corner in corners.tolist()], fill=index)
+    return np.asarray(image)
+
+
+def _colours(n: int) -> list[Colour]:
+    """Choose n colours."""
+    from matplotlib.colors import to_rgb
+
+    wheel = lambda k: colorsys.hsv_to_rgb(_GOLDEN * k % 1.0, 0.65, 0.9 - 0.2 * (k % 2))
+    full = [to_rgb(SERIES[k]) if k < len(SERIES) else wheel(k) for k in range(n)]
+    pale = lambda share: _PALE + (1.0 - _PALE) * share
+    return [(pale(r), pale(g), pale(b)) for r, g, b in full]
+
+
+def _faces(
+    mesh: TetMesh, groups: list[str], view: View, drawn: Bool[HostArray, " n_tets"]
+) -> tuple[VisibleFaces, Int[HostArray, " n_faces"]]:
+    """Find what is seen of some of the tets, and the group that colours each face."""
+    part = TetMesh(mesh.points, mesh.tets[drawn])
+    faces = views.visible_faces(part, view)
+    tets, keys = np.flatnonzero(drawn)[faces.tet], _keys(mesh, faces.nodes)
+    outside = np.isin(keys, _keys(mesh, boundary_faces(mesh)))
+    group = np.where(outside, _PLAIN, _CUT)
+    for name, members in mesh.tet_groups.items():
+        group[np.isin(tets, members)] = groups.index(name)
+    for name, members in mesh.surface_groups.items():
+        group[np.isin(keys, _keys(mesh, members))] = groups.index(name)
+    return faces, group
+
+
+def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
+    """Compute a number for each face from its corners, in any order."""
+    a, b, c = np.sort(faces[:, :3].astype(np.int64), axis=1).T
+    return (a * mesh.n_nodes + b) * mesh.n_nodes + c
+
+
+def _draw_nodes(
+    axes: Axes,
+    view: View,
+    mesh: TetMesh,
+    drawn: Bool[HostArray, " n_tets"],
+    colours: dict[str, Colour],
+) -> None:
+    """Draw nodes of the drawn tets that belong to groups of nodes alone."""
+    faced = {**mesh.surface_groups, **mesh.tet_groups}
+    for name, members in mesh.node_groups.items():
+        nodes = np.intersect1d(members, mesh.tets[drawn])
+        if name in faced or not nodes.size:
+            continue
+        places = view.project(mesh.points[nodes])
+        axes.plot(
+            *places.T,
+            "o",
+            ms=in_points(5.0),
+            color=colours[name],
+            mec="black",
+            mew=in_points(0.5),
+        )
+        highest = places[np.argmax(places[:, 1])]
+        figures.draw_name(axes, name, highest, (0, 14), ha="center")
+
 
 _SIDE = 190  # width of the scale beside the body [pixels]
 _LOWEST, _HIGHEST = 0.2625, 0.5625  # limits of the height of its part, over the width

@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting._diagrams import plot_panels
+from softcal_jax.plotting._calibration import plot_panels
 from softcal_jax.plotting._figure import (
     OUTLINE,
     SCREEN,

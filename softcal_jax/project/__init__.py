@@ -1,7 +1,12 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._design import DesignTask as DesignTask
-from softcal_jax.project._goals import inverse_as_typed as inverse_as_typed
+from softcal_jax.project._goals import (
+    inverse_as_typed as inverse_as_typed,
+    printed_project as printed_project,
+    toml_key as toml_key,
+    toml_value as toml_value,
+)
 from softcal_jax.project._load import (
     CHANGE as CHANGE,
     Guess as Guess,
@@ -12,16 +17,6 @@ from softcal_jax.project._load import (
 from softcal_jax.project._plausible import (
     ProjectWarning as ProjectWarning,
     implausible as implausible,
-)
-from softcal_jax.project._printed import (
-    printed_project as printed_project,
-    toml_key as toml_key,
-    toml_value as toml_value,
-)
-from softcal_jax.project._problems import (
-    ProjectError as ProjectError,
-    at as at,
-    suggestion as suggestion,
 )
 from softcal_jax.project._project import (
     Project as Project,
@@ -40,4 +35,9 @@ from softcal_jax.project._reading import (
     read_toml as read_toml,
 )
 from softcal_jax.project._setup import parse_share as parse_share
-from softcal_jax.project._table import Table as Table
+from softcal_jax.project._table import (
+    ProjectError as ProjectError,
+    Table as Table,
+    at as at,
+    suggestion as suggestion,
+)

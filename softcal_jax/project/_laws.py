@@ -28,11 +28,11 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import AnyDirections, Frames, TetData
-from softcal_jax.project._problems import under
 from softcal_jax.project._table import (
     Table,
     as_table,
     type_of,
+    under,
     wrong_choice,
     wrong_key,
 )

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softcal_jax._names import check_unique
 from softcal_jax._process import check_process
+from softcal_jax._text import check_unique
 from softcal_jax.calibration import ProjectSource
 from softcal_jax.configurations import (
     Configuration,
@@ -19,16 +19,12 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._configurations import Posed, build_configuration
-from softcal_jax.project._design import build_design
-from softcal_jax.project._effectors import build_effectors
-from softcal_jax.project._parameters import build_space
+from softcal_jax.project._design import Posed, build_configuration, build_design
 from softcal_jax.project._plausible import (
     ProjectWarning,
     check_bearable,
     implausible,
 )
-from softcal_jax.project._problems import WrongKeyError, in_file, one_by_one, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
@@ -36,7 +32,9 @@ from softcal_jax.project._reading import (
     read_schema,
     read_tables,
 )
-from softcal_jax.project._sensors import PhotosTable
+from softcal_jax.project._sensors import PhotosTable, build_effectors
+from softcal_jax.project._setup import build_space
+from softcal_jax.project._table import WrongKeyError, in_file, one_by_one, under
 
 
 def load_project(

@@ -24,10 +24,15 @@ from softcal_jax.configurations import (
     register,
 )
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._effectors import Measured
-from softcal_jax.project._problems import known_name, under
-from softcal_jax.project._sensors import DialectTable, Selection
-from softcal_jax.project._table import Choice, Table, TableOr, table_of
+from softcal_jax.project._sensors import DialectTable, Measured, Selection
+from softcal_jax.project._table import (
+    Choice,
+    Table,
+    TableOr,
+    known_name,
+    table_of,
+    under,
+)
 
 _KINDS = ("between", "at", "plateau")
 """What a window of time is given by; each has a method of `Recording`."""

@@ -20,15 +20,16 @@ from softcal_jax.configurations import (
 from softcal_jax.contact import SHAPES, AbstractShape, read_surface
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
 from softcal_jax.project._table import (
     Maker,
     Table,
     TableOr,
+    known_name,
     of_type,
     only,
     table_of,
+    under,
     wrong_key,
 )
 

@@ -8,10 +8,9 @@ import jax
 import numpy as np
 from scipy.spatial import KDTree
 
-from softcal_jax._names import listed
+from softcal_jax._text import SoftcalWarning, listed
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable, readable_values
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -25,7 +24,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import field_units, tet_fields
 from softcal_jax.mesh import volumes
-from softcal_jax.project._problems import WrongKeyError
+from softcal_jax.project._table import WrongKeyError
 
 DENSITIES = 10.0, 23e3  # from a light foam to the heaviest metal [kg/m3]
 GRAVITIES = 1.0, 30.0  # from the Moon's to Jupiter's [m/s2]

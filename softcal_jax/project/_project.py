@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from softcal_jax import calibration as calibrations, identifiability
 from softcal_jax._module import Module
-from softcal_jax._names import listed
+from softcal_jax._text import listed
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, ProjectSource
 from softcal_jax.configurations import (
@@ -34,7 +34,7 @@ from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._design import DesignTask
-from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
+from softcal_jax.project._table import ProjectError, in_file, one_by_one, under
 
 _NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."
 

@@ -9,8 +9,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BeforeValidator, Strict
 
 from softcal_jax._module import Size
-from softcal_jax._names import suggestion
-from softcal_jax._text import shortened
+from softcal_jax._text import shortened, suggestion
 from softcal_jax._units import UNITS, is_number
 
 

@@ -20,28 +20,30 @@ from softcal_jax._text import check_characters, escaped
 from softcal_jax.calibration import LEVEL, CalibrationSettings, check_level
 from softcal_jax.equilibrium import NewtonSettings
 from softcal_jax.fields import PRECISION, check_starts
-from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
-from softcal_jax.project._design import DesignTable
-from softcal_jax.project._effectors import AnyEffector
+from softcal_jax.project._design import CandidateTable, ConfigurationTable, DesignTable
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._mechanism import AnyActuator, BodyTable
 from softcal_jax.project._mesh import GroupTable, MeshTable
-from softcal_jax.project._parameters import (
+from softcal_jax.project._quantities import Integer, Number, recognised
+from softcal_jax.project._sensors import AnyEffector
+from softcal_jax.project._setup import (
+    AnySetup,
     ControlPointsTable,
     ParameterSpaceTable,
     ParameterTable,
+    UncertainTable,
 )
-from softcal_jax.project._problems import (
+from softcal_jax.project._table import (
+    Choice,
     ProjectError,
+    Table,
     describe,
     key_path,
     known_here,
     one_by_one,
+    table_of,
 )
-from softcal_jax.project._quantities import Integer, Number, recognised
-from softcal_jax.project._setup import AnySetup, UncertainTable
-from softcal_jax.project._table import Choice, Table, table_of
 
 Keys = tuple[str | int, ...]
 

@@ -7,6 +7,7 @@ from softcal_jax._tree import (
     Table as Table,
 )
 from softcal_jax.report._console import console as console, text as text
+from softcal_jax.report._goals import model_words as model_words
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,
@@ -22,18 +23,18 @@ from softcal_jax.report._outline import (
     roles_of as roles_of,
 )
 from softcal_jax.report._sections import (
+    Transfer as Transfer,
     calibration_sections as calibration_sections,
     notebook_html as notebook_html,
     outlook_sections as outlook_sections,
     sections as sections,
+    transfer as transfer,
 )
 from softcal_jax.report._sweep import (
     check_sweep_page as check_sweep_page,
     sweep_sections as sweep_sections,
     write_sweep as write_sweep,
 )
-from softcal_jax.report._tables import model_words as model_words
-from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer
 from softcal_jax.report._verdict import held_out_sentences as held_out_sentences
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,

@@ -13,11 +13,10 @@ from pydantic_core import SchemaValidator, ValidationError, core_schema as cs, f
 from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, listed
 from softcal_jax._process import installed_version
+from softcal_jax._text import SoftcalWarning, check_known, listed
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import RESULT_FORMAT, complete_results, solver_dict
 from softcal_jax.fields import ParameterSpace

@@ -2,14 +2,18 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax import plotting
-from softcal_jax._names import listed
+from softcal_jax._module import Result
+from softcal_jax._text import listed
 from softcal_jax._tree import Chart, Column, Section, Table, Tone
+from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import number, readable
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -19,6 +23,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
+from softcal_jax.export import plain
 from softcal_jax.identifiability import (
     LOST,
     Assessment,
@@ -26,13 +31,13 @@ from softcal_jax.identifiability import (
     Ranking,
     assess,
 )
-from softcal_jax.inference import BLIND_FROM
+from softcal_jax.inference import BLIND_FROM, Difference, Estimate, difference
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.report import _tables
+from softcal_jax.project import Project
+from softcal_jax.report import _goals
 from softcal_jax.report._goals import design_sections, inverse_sections
 from softcal_jax.report._html import output
 from softcal_jax.report._sweep import sweep_sections
-from softcal_jax.report._transfer import Transfer
 from softcal_jax.report._verdict import (
     TONES,
     answer,
@@ -43,6 +48,83 @@ from softcal_jax.report._verdict import (
     verdict_of,
 )
 from softcal_jax.sweeps import SweepResult
+
+
+class Transfer(Result):
+    """Values of the material from a robot A, asked of a robot B.
+
+    Attributes:
+        difference: Of the values that both gave.
+        poses: The configurations of B.
+        motion: How far their points move [m].
+        rms_own: How far they are off by the fit to B, rms [m].
+        rms_of_a: The same with the values of A, and all others fitted to B [m].
+        lost: Configurations of which no equilibrium was found with the values of A.
+    """
+
+    difference: Difference
+    poses: tuple[str, ...]
+    motion: Float[HostArray, " n_c"]
+    rms_own: Float[HostArray, " n_c"]
+    rms_of_a: Float[HostArray, " n_c"]
+    lost: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it for JSON, in SI; None where a number is not known."""
+        d = self.difference
+        judged = ("probability", "agree", "verdict")
+        return {**plain(self), **{key: getattr(d, key) for key in judged}}
+
+    def _words(self) -> str:
+        return self.difference.verdict
+
+
+def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
+    """Compare a calibration of robot A with that of robot B, and predict B with it.
+
+    Args:
+        a: What the calibration of A found.
+        b: The project of B.
+        result: Its calibration.
+
+    Raises:
+        ValueError: If no parameter of the material has a standard error in both.
+    """
+    apart = difference(a, result.estimate)
+    with_a = _predicted(b, result, dict(zip(apart.names, apart.of_a, strict=True)))
+    rms_of_b = {c.name: c.rms_after for c in result.configurations}
+    return Transfer(
+        difference=apart,
+        poses=tuple(c.name for c in with_a),
+        motion=np.array([c.motion for c in with_a]),
+        rms_own=np.array([rms_of_b.get(c.name, np.nan) for c in with_a]),
+        rms_of_a=np.array([c.rms_after for c in with_a]),
+        lost=tuple(c.name for c in with_a if not c.converged),
+    )
+
+
+def _predicted(
+    b: Project, result: CalibrationResult, of_a: dict[str, float]
+) -> tuple[ConfigurationResult, ...]:
+    """Solve B with values of A; its other parameters follow, to first order."""
+    space, linear, z = result.space, result.linear, np.asarray(result.z)
+    values = np.array(space.from_scaled(result.z))
+    taken = np.isin(space.names, [*of_a])
+    values[taken] = [of_a[name] for name in space.names if name in of_a]
+    at_a = space.to_scaled(jnp.asarray(values))
+    to_a = np.asarray(space.shorter(at_a - result.z))
+    moved = replace(
+        linear,
+        r=linear.r + linear.W @ to_a,
+        from_prior=linear.from_prior + linear.prior_weights * to_a,
+        held=linear.held | taken,
+    )
+    others = jnp.asarray(z + np.nan_to_num(moved.step()))
+    others = space.from_scaled(jnp.clip(others, space.lower(), space.upper()))
+    values = np.where(taken, values, np.asarray(others))
+    simulated, _ = b.simulate(dict(zip(space.names, values, strict=True)))
+    return simulated.configurations
+
 
 MOST_PARAMETERS = 7  # parameters whose course is drawn
 MOST_BARS = 24  # rows of a chart
@@ -66,18 +148,18 @@ def calibration_sections(
     """Write what a calibration says, given its assessment."""
     fits, outlook = result.configurations, assessment.identifiability
     tables = (
-        _tables.parameter_table(result, outlook),
-        _tables.interval_table(result),
-        _tables.budget_table(result.budget),
-        _tables.optima_table(result.starts),
+        _goals.parameter_table(result, outlook),
+        _goals.interval_table(result),
+        _goals.budget_table(result.budget),
+        _goals.optima_table(result.starts),
     )
-    errors = tuple(_tables.error_tables(fits, result.checks))
+    errors = tuple(_goals.error_tables(fits, result.checks))
     predicted = tuple(filter(None, [assessment.prediction]))
-    tone = _tables.outlook_tone(outlook.verdict, assessment)
-    data, known = _blindness(outlook), (_tables.outlook_table(assessment),)
+    tone = _goals.outlook_tone(outlook.verdict, assessment)
+    data, known = _blindness(outlook), (_goals.outlook_table(assessment),)
     agreement = result.checks.agreement if result.checks else ()
-    robot = tuple(_tables.robot_tables(listed_fits(fits)))
-    course = (_tables.history_table(result),), course_charts(result)
+    robot = tuple(_goals.robot_tables(listed_fits(fits)))
+    course = (_goals.history_table(result),), course_charts(result)
     subject = (_subject(result, outlook),)
     return (
         *answer(result, assessment),
@@ -94,7 +176,7 @@ def calibration_sections(
 
 
 def _search(result: MultiStartResult) -> tuple[Section, ...]:
-    optima = _tables.optima_table(result)._replace(note="")
+    optima = _goals.optima_table(result)._replace(note="")
     return (
         verdict(result.words, "plain"),
         Section("optima", "Optima", (), (optima,)),
@@ -111,7 +193,7 @@ def _subject(result: CalibrationResult, outlook: Identifiability) -> Table:
         if spread.has_noise:
             noise += f": {spread.noise_scale:.3g} times the stated standard deviations"
     rows = {
-        "model": _tables.model_words(result.model),
+        "model": _goals.model_words(result.model),
         "parameters": ", ".join(q.name for q in result.parameters),
         "fitted configurations": ", ".join(of_role("calibration")),
         "held-out configurations": ", ".join(of_role("validation")) or "none",
@@ -126,8 +208,8 @@ def _simulation(result: SimulationResult) -> tuple[Section, ...]:
     tone = "doubtful" if result.doubts else "good"
     poses = result.configurations
     errors = tuple(held_out_sentences(poses))
-    tables = _tables.simulation_table(result), *_tables.robot_tables(poses)
-    words = (f"{_tables.model_words(result.model)}.",)
+    tables = _goals.simulation_table(result), *_goals.robot_tables(poses)
+    words = (f"{_goals.model_words(result.model)}.",)
     return (
         verdict(result.headline, tone if result.converged else "bad", result.doubts),
         Section("states", "States", (), tables),
@@ -157,7 +239,7 @@ def outlook_sections(
     if outlook is not None:
         tables = [_outlook(outlook)]
         if outlook.budget is not None and outlook.n_data:
-            tables.append(_tables.budget_table(outlook.budget))
+            tables.append(_goals.budget_table(outlook.budget))
         unseen = _blindness(outlook)
         tree = [
             verdict(outlook.headline, TONES[outlook.verdict]),
@@ -193,7 +275,7 @@ def _outlook(outlook: Identifiability) -> Table:
     heads += "from the data alone [*] | " * outlook.has_prior + "target [*] | verdict"
     units, legend = (
         [p.unit for p in outlook.parameters],
-        _tables.outlook_legend(outlook),
+        _goals.outlook_legend(outlook),
     )
     about = {"value": {"digits": 4}, "standard error": {"notes": shares}}
     more = {"note": legend, "units": units, "digits": 3, "about": about}
@@ -223,7 +305,7 @@ def _percent(ratio: float) -> str:
 
 def _inner(outlook: Identifiability) -> Section:
     """Show the correlation of the parameters and the singular values of W_ep."""
-    tables = tuple(_tables.inner_tables(outlook))
+    tables = tuple(_goals.inner_tables(outlook))
     title = "Correlation and singular values"
     return Section("inner", title, tables=tables, folded=True)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from softcal_jax._names import MOST_NAMED, listed
+from softcal_jax._text import MOST_NAMED, listed
 from softcal_jax._tree import Column, Section, Table, Tone
 from softcal_jax._units import readable
 from softcal_jax.calibration import (

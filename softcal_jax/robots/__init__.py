@@ -1,9 +1,5 @@
 """Ready-made robots, with the data they are calibrated to."""
 
-from softcal_jax.robots._measurements import (
-    simulated_measurements as simulated_measurements,
-    synthetic_measurements as synthetic_measurements,
-)
 from softcal_jax.robots._ready_made import (
     READY_MADE as READY_MADE,
     AnisotropicBeam as AnisotropicBeam,
@@ -11,4 +7,6 @@ from softcal_jax.robots._ready_made import (
     pneumatic_arm_path as pneumatic_arm_path,
     ready_made_path as ready_made_path,
     silicone_beam_path as silicone_beam_path,
+    simulated_measurements as simulated_measurements,
+    synthetic_measurements as synthetic_measurements,
 )

@@ -3,26 +3,22 @@
 `softcal sweep` takes a sweep file, `run_sweep` any function.
 """
 
-from softcal_jax.sweeps._calibration import (
-    FIT as FIT,
-    HELD_OUT as HELD_OUT,
-    CalibrationTrial as CalibrationTrial,
-)
 from softcal_jax.sweeps._database import read_sweep as read_sweep
 from softcal_jax.sweeps._file import Sweep as Sweep, load_sweep as load_sweep
-from softcal_jax.sweeps._plot import (
+from softcal_jax.sweeps._result import (
+    SweepResult as SweepResult,
     default_figures as default_figures,
+    figure_name as figure_name,
+    figure_values as figure_values,
     figures_of_the_robot as figures_of_the_robot,
     plot_sweep as plot_sweep,
     write_sweep_csv as write_sweep_csv,
 )
-from softcal_jax.sweeps._result import (
-    SweepResult as SweepResult,
-    figure_name as figure_name,
-    figure_values as figure_values,
-)
 from softcal_jax.sweeps._row import (
+    FIT as FIT,
+    HELD_OUT as HELD_OUT,
     OUT_OF_RANGE as OUT_OF_RANGE,
+    CalibrationTrial as CalibrationTrial,
     Outcome as Outcome,
     Progress as Progress,
     TrialRow as TrialRow,

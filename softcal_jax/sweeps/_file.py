@@ -12,9 +12,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from softcal_jax._files import similar_file
-from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._names import check_known
+from softcal_jax._files import PLANNED, TRIALS, similar_file
+from softcal_jax._text import check_known
 from softcal_jax._units import is_number
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
@@ -29,14 +28,14 @@ from softcal_jax.project import (
     read_toml,
     suggestion,
 )
-from softcal_jax.sweeps._calibration import (
+from softcal_jax.sweeps._result import SweepResult
+from softcal_jax.sweeps._row import (
     OWN_AXES,
     CalibrationTrial,
     digest_of,
     file_keys,
     truth_in_si,
 )
-from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_part, run_sweep
 from softcal_jax.sweeps._trial import Points, Range, grid, sample
 

@@ -8,9 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax._files import digest_of
-from softcal_jax._names import check_known
-from softcal_jax._places import only_writer
+from softcal_jax._files import digest_of, only_writer
+from softcal_jax._text import check_known
 from softcal_jax._units import is_number
 from softcal_jax.equilibrium import usable_cores
 from softcal_jax.sweeps._database import read_sweep, sweep_database

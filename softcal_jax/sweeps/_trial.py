@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._names import check_known
+from softcal_jax._files import PLANNED, TRIALS
+from softcal_jax._text import check_known
 from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]

@@ -28,7 +28,7 @@ from softcal_jax.equilibrium import (
     no_equilibrium,
     solve_equilibrium,
 )
-from softcal_jax.equilibrium._approach import approach, detours, distances, unloaded
+from softcal_jax.equilibrium._continuation import approach, detours, distances, unloaded
 from softcal_jax.equilibrium._path import WANTED_ITERATIONS
 from softcal_jax.equilibrium._solve import without_readings
 from softcal_jax.materials import Isotropic, NeoHookean, StVenantKirchhoff

@@ -102,7 +102,7 @@ def test_a_stated_prior_counts_like_a_measurement():
     ids=lambda value: getattr(value, "label", None),
 )
 def test_what_is_asked_of_each_kind(entry, asked):
-    """The table of `softcal_jax.fields._standard_errors`, in SI units."""
+    """The table of `softcal_jax.fields._start`, in SI units."""
     space = ParameterSpace((entry,))
     linear = independent(np.ones((1, 1)), tuple(space.names))
     outlook = identifiability(linear, space, space.start(), model=MODEL)

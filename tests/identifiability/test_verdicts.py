@@ -11,7 +11,7 @@ from wording import says
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
-from softcal_jax.identifiability._spread import direction_words, information, spread_of
+from softcal_jax.identifiability._result import direction_words, information, spread_of
 from softcal_jax.inference import ErrorColumns, independent, uncertainty
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam

@@ -46,7 +46,7 @@ def test_points_of_many_tets_at_once(monkeypatch):
     grid = Grid.around(mesh.points, N)
     whole = fill(mesh, grid)
     assert not whole.inside.all()
-    monkeypatch.setattr("softcal_jax.mesh._voxels._AT_ONCE", 50)
+    monkeypatch.setattr("softcal_jax.mesh._generators._AT_ONCE", 50)
     cut = fill(mesh, grid)
     np.testing.assert_array_equal(cut.voxels, whole.voxels)
     np.testing.assert_array_equal(cut.inside, whole.inside)

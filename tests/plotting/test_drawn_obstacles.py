@@ -9,7 +9,6 @@ from obstacle_results import PRESSED, beside_obstacles, pressed
 from softcal_jax import contact
 from softcal_jax.plotting import (
     _configuration,
-    _obstacles,
     _plan,
     choose_view,
     obstacle_surface,
@@ -119,7 +118,7 @@ class TestPictures:
         def middle(*obstacles):
             """The colour of the body's middle, where the probe is in the way."""
             shown = {"size": (300, 200), "scale": 2500.0, "largest": 1e-3}
-            surfaces = _obstacles.placed_surfaces(model, obstacles)
+            surfaces = _plan.placed_surfaces(model, obstacles)
             image = body_image(model, rest, view, **shown, obstacles=surfaces)
             return image[90:110, 140:160].mean(axis=(0, 1))
 

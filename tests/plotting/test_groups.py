@@ -7,7 +7,7 @@ from matplotlib.image import imread
 from benchmarks._hollow import hollow_cube
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import plot_groups
-from softcal_jax.plotting._groups import _CUT, _colours, _faces, _image, _panels
+from softcal_jax.plotting._configuration import _CUT, _colours, _faces, _image, _panels
 from softcal_jax.plotting._view import choose_view, fit_panel
 
 

@@ -318,7 +318,7 @@ FILES = {
 
 @number_of_examples(25, 1500)
 @pytest.mark.parametrize("kind", FILES)
-@pytest.mark.filterwarnings("ignore::softcal_jax._warnings.SoftcalWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax._text.SoftcalWarning")
 @pytest.mark.usefixtures("unchecked")
 def test_any_damage_to_a_file(tmp_path, kind, n):
     """Bytes changed, put in or cut off: what commands show as bad input, or none."""

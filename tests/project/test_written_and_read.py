@@ -18,7 +18,7 @@ from softcal_jax.exchange.proposal import propose_project
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import beam, read_mesh, write_mesh
 from softcal_jax.project import (
-    _printed,
+    _goals,
     load_project,
     parse_in_si,
     printed_project,
@@ -74,7 +74,7 @@ def test_any_document(n):
     )
 
     def once(raw):
-        assert tomllib.loads(_printed._document(raw)) == raw
+        assert tomllib.loads(_goals._document(raw)) == raw
         assert tomllib.loads(f"{toml_key('ü.')} = {toml_value(raw)}") == {"ü.": raw}
 
     check(n, st.dictionaries(WORDS, values, max_size=4), once)
@@ -166,7 +166,7 @@ def test_files_are_found_from_the_folder_of_the_design():
         "shared": {"measured": {"file": "../a.csv", "select": {"file": "1"}}},
         "configurations": [{**pose, "measured": {"effectors": {"board": moved}}}],
     }
-    assert _printed._moved(raw, _printed.Path("..")) == wanted
+    assert _goals._moved(raw, _goals.Path("..")) == wanted
 
 
 @number_of_examples(30, 500)

@@ -17,7 +17,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.sensitivity import _error_rows, stress_patches
+from softcal_jax.sensitivity import _rows, stress_patches
 
 # 18 tets: the last block of 16 is padded.
 each_element = pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_the_form_is_symmetric_and_no_fields_lower_it(order, formulation):
     patches = stress_patches(model)
     n_qp = model.weights.shape[1]
     size = model.n_tets * n_qp
-    squared = lambda s: _error_rows._squared(patches, s.reshape(model.n_tets, n_qp))
+    squared = lambda s: _rows._squared(patches, s.reshape(model.n_tets, n_qp))
     columns = jax.jit(jax.vmap(squared))(jnp.asarray(np.eye(size)))
     columns = np.asarray(columns).reshape(size, size)
     scale = np.max(np.abs(columns))
@@ -97,13 +97,13 @@ def test_faces_under_a_load_are_not_free():
     def at_free_faces(u):
         at = tet_stresses(model, u)
         even, lin = jnp.ones_like(at.stress), linearise(model, lane, u)
-        return _error_rows._at_free_faces(lin, patches, even, at.F)
+        return _rows._at_free_faces(lin, patches, even, at.F)
 
     bearing = np.union1d(mesh.nodes("x_min"), mesh.nodes("z_max"))
     carried = np.isin(np.arange(mesh.n_nodes), bearing)
     with pytest.MonkeyPatch.context() as patch:
         seen = lambda model, u: jnp.asarray(np.where(carried[:, None], 1.0, 0.0))
-        patch.setattr(_error_rows, "internal_force", seen)
+        patch.setattr(_rows, "internal_force", seen)
         marked = at_free_faces(jnp.zeros((model.n_points, 3)))
     faces = np.asarray(patches.face_nodes)
     free = ~carried[faces].any(axis=1)

@@ -20,8 +20,8 @@ from softcal_jax.cli import main
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.fields import random_starts
 from softcal_jax.project import load_project
-from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
-from softcal_jax.sweeps._calibration import _with_noise, why_not
+from softcal_jax.sweeps import Trial, _row, load_sweep, read_sweep
+from softcal_jax.sweeps._row import _with_noise, why_not
 
 SWEEP = """
 project = "project.toml"
@@ -192,7 +192,7 @@ def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
     sweep = load_sweep(tmp_path / "sweep.toml")
     project = tmp_path / "project.toml"
     project.write_text(project.read_text().replace("nu = 0.3", "nu = 0.2"))
-    monkeypatch.setattr(_calibration, "_KEPT", {})  # as in a new process
+    monkeypatch.setattr(_row, "_KEPT", {})  # as in a new process
     with pytest.raises(RuntimeError, match=r"project\.toml has changed"):
         sweep.function(Trial(sweep.points[0]))
 

@@ -1,9 +1,5 @@
 """Printed tags on photographs: the pose of one tag in the frame of another."""
 
-from softcal_jax.exchange.camera._detection import (
-    Photo as Photo,
-    read_photo as read_photo,
-)
 from softcal_jax.exchange.camera._photos import (
     TagPose as TagPose,
     find_photos as find_photos,
@@ -11,7 +7,9 @@ from softcal_jax.exchange.camera._photos import (
 )
 from softcal_jax.exchange.camera._sheet import (
     BOARD_IDS as BOARD_IDS,
+    Photo as Photo,
     board_corners as board_corners,
+    read_photo as read_photo,
     tag_cells as tag_cells,
     tag_corners as tag_corners,
     write_tags as write_tags,

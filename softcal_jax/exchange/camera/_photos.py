@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import listed
+from softcal_jax._text import listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.camera import _sheet as sheet
 from softcal_jax.exchange.camera._adjustment import (
@@ -20,7 +20,7 @@ from softcal_jax.exchange.camera._adjustment import (
     adjust,
     lens,
 )
-from softcal_jax.exchange.camera._detection import SMALLEST, Photo, height, read_photo
+from softcal_jax.exchange.camera._sheet import SMALLEST, Photo, height, read_photo
 
 _FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
 """Focal lengths to begin with, in the longer side of a photograph [-].

@@ -12,8 +12,15 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.designs import FoamTable
-from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
-from softcal_jax.exchange.icesl._settings import RTOL, Chosen, Convention, SlicerSetting
+from softcal_jax.exchange.icesl._settings import (
+    N_VOXELS,
+    RTOL,
+    Chosen,
+    Convention,
+    PrintedPart,
+    Samples,
+    SlicerSetting,
+)
 from softcal_jax.export import plain
 
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"

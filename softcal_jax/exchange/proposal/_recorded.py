@@ -13,8 +13,7 @@ from softcal_jax import configurations
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 from softcal_jax.configurations import MarkerTable
-from softcal_jax.exchange.proposal._body import Body, Held
-from softcal_jax.exchange.proposal._cavities import Actuated
+from softcal_jax.exchange.proposal._body import Actuated, Body, Held
 from softcal_jax.project import recognised, toml_value
 
 _REST = re.compile(

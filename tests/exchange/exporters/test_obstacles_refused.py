@@ -9,7 +9,7 @@ from softcal_jax.exchange.exporters import exporters
 from softcal_jax.exchange.icesl import Design, export_icesl
 from softcal_jax.exchange.inp import write_inp
 from softcal_jax.exchange.mujoco import mujoco_poses
-from softcal_jax.exchange.sofa._configurations import check_robot
+from softcal_jax.exchange.sofa._export import check_robot
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import Isotropic, StVenantKirchhoff
 

@@ -22,7 +22,7 @@ from benchmarks._sofa_scenes import (
     hollow_beam,
     posed,
 )
-from softcal_jax.exchange.sofa._configurations import check_robot, scene_data
+from softcal_jax.exchange.sofa._export import check_robot, scene_data
 from softcal_jax.materials import SofaCorotational
 
 FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
