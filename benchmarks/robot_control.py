@@ -52,6 +52,7 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import BodyFrame
 from softcal_jax.control import InverseResult, Limits, sample_workspace, solve_inverse
 from softcal_jax.equilibrium import Model
+from softcal_jax.report import headline
 
 N_GOALS = 20
 
@@ -133,7 +134,7 @@ def run(options: Options) -> Outcome:
         samples[f"{name}_model_off_mm"] = one.left
         for result in one.results:
             if not result.met:
-                options.say(result.message)
+                options.say(headline(result))
     before, after = done["uncalibrated"], done["calibrated"]
     for unit, old, new in (
         ("mm", before.mm, after.mm),

@@ -79,6 +79,9 @@ class Result(Module):
     def __str__(self) -> str:
         return _notebook.text_of(self)
 
+    def _words(self) -> str:
+        return _notebook.headline_of(self)
+
     def _repr_html_(self) -> str | None:
         return _notebook.html_of(self)
 

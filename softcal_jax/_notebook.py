@@ -1,4 +1,4 @@
-"""How notebooks show a result: through hooks, since the report imports this module."""
+"""What a result says: through hooks, since the report imports this module."""
 
 from collections.abc import Callable
 
@@ -7,3 +7,6 @@ html_of: Callable[[object], str | None] = lambda result: None
 
 text_of: Callable[[object], str] = object.__repr__
 """Writes the text of a result, likewise."""
+
+headline_of: Callable[[object], str] = lambda result: ""
+"""Says what a result comes to, in a sentence or two, likewise."""

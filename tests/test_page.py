@@ -38,6 +38,7 @@ from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.report import (
     _html,
     _write,
+    headline,
     write_results,
 )
 from softcal_jax.report._view import body_view
@@ -505,7 +506,7 @@ def test_page_of_what_data_would_tell(tmp_path):
         page = check_page(out)
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour
-        assert outlook.headline in page.text
+        assert headline(outlook) in page.text
         assert says(page.text, "'turned' tells most: expected error of theta")
         assert "Not ranked: 'crushed': inverted." in page.text
         _, *rows = page.tables["Predicted standard errors"]

@@ -38,6 +38,7 @@ from softcal_jax.report import (
     PictureWarning,
     _write,
     console as drawn,
+    headline,
     sections,
     write_results,
 )
@@ -437,8 +438,8 @@ def test_an_outlook_as_a_folder(tmp_path):
     assert data["files"] == ["report.html", "identifiability.txt"]
     assert data["identifiability"]["verdict"] == "not identifiable"
     text = (folder / "identifiability.txt").read_text()
-    assert text.startswith(f"beam\n\n{outlook.headline}\n")
-    for said in (*outlook.blind, make_ranking().headline, make_ranking().reached):
+    assert text.startswith(f"beam\n\n{headline(outlook)}\n")
+    for said in (*outlook.blind, headline(make_ranking()), make_ranking().reached):
         assert getattr(said, "words", said) in text
 
     with pytest.raises(FileExistsError, match="--force"):

@@ -254,19 +254,6 @@ class SimulationResult(Result):
         """What the model leaves out, one sentence each; empty if nothing is known."""
         return omitted(self.configurations)
 
-    @property
-    def headline(self) -> str:
-        """How many configurations have an equilibrium, in a sentence."""
-        n = len(self.configurations)
-        n_converged = sum(result.converged for result in self.configurations)
-        if n_converged < n:
-            return f"{n_converged} of {n} configurations have an equilibrium."
-        every = "The configuration has" if n == 1 else f"All {n} configurations have"
-        return f"{every} an equilibrium."
-
-    def _words(self) -> str:
-        return self.headline
-
 
 def configuration_results(
     model: Model,

@@ -244,23 +244,6 @@ class MultiStartResult(Result):
         """The optimum with the lowest cost after the best; None if there is none."""
         return self.optima[1] if len(self.optima) > 1 else None
 
-    @property
-    def words(self) -> str:
-        """How its runs ended, in sentences."""
-        n, lost = len(self.cost), np.isinf(self.cost)
-        unfinished = ~self.converged & ~lost
-        text = f"{n} starts, {self.converged.sum()} converged, {len(self.optima)} "
-        text += "distinct optima."
-        if self.missed < 1.0:
-            share = f"{100.0 * self.missed:.0f} %"
-            text += f" Of further starts, {share} are expected to end at others."
-        if unfinished.any():
-            lowest = self.cost[unfinished].min()
-            text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
-        if lost.any():
-            text += f" {lost.sum()} without equilibrium at the start."
-        return text
-
 
 class CalibrationResult(Result):
     """Outcome of a calibration.

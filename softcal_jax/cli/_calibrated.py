@@ -24,7 +24,8 @@ examples:
 
 RESULTS is the folder of softcal calibrate; project file, mesh and measurements must
 be in the same place and unchanged. The configuration says what holds and loads the
-robot, and which actuators are commanded: those in its `actuation`, as a start. A goal
+robot, and which actuators are commanded: those in its `actuation`, as a start, from the
+equilibrium that the calibration found there. A goal
 is a value of a marker or effector, written as in the project file, and counts as met
 within a hundredth of its `std`; measured values are not goals. A pose of a frame is an
 inline table, --goal sensor='{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'.
@@ -49,6 +50,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         project = loaded.project
         _check_parameters(loaded.space)
         posed, _ = loaded.posed(args.configuration)
+        guess = loaded.displacement(posed.name)
         posed, limits = inverse_as_typed(
             project,
             posed,
@@ -63,7 +65,12 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     settings = ControlSettings(newton=project.newton)
     with cli.bad_input():
         result = solve_inverse(
-            loaded.model, posed, limits=limits, settings=settings, throw=False
+            loaded.model,
+            posed,
+            limits=limits,
+            settings=settings,
+            guess=guess,
+            throw=False,
         )
     show.lap("search")
     show.line()
@@ -87,7 +94,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     if not result.met:
         interrupted = result.outcome == OUTCOMES.interrupted
         code = cli.INTERRUPTED if interrupted else cli.NOT_CONVERGED
-        raise cli.Stop(code, result.message)
+        raise cli.Stop(code, report.headline(result))
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:

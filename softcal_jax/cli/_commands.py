@@ -147,7 +147,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         result = project.design(
             progress=step,
             search_progress=lambda step: show.now(str(step), log=False),
-            answer=lambda result: show.note(result.headline),
+            answer=lambda result: show.note(report.headline(result)),
             stage=show.now,
         )
     show.lap("design", compiling=result.fit.timing_s["compile"])
@@ -165,7 +165,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         text = "interrupted: the design is that of the last step, without what follows."
         raise cli.Stop(cli.INTERRUPTED, text)
     if not result.met:
-        raise cli.Stop(cli.NOT_CONVERGED, result.headline)
+        raise cli.Stop(cli.NOT_CONVERGED, report.headline(result))
 
 
 def identify(args: argparse.Namespace, show: cli.Display) -> None:

@@ -27,6 +27,7 @@ from softcal_jax.control._result import (
     InverseResult as InverseResult,
     StepRecord as StepRecord,
     TrajectoryResult as TrajectoryResult,
+    coordinate_names as coordinate_names,
 )
 from softcal_jax.control._solve import (
     ControlWarning as ControlWarning,

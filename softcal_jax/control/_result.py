@@ -5,11 +5,9 @@ import numpy as np
 
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable, readable_values
+from softcal_jax._units import readable
 from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
-
-LISTED = 4  # goals that a message lists
 
 
 class OUTCOMES(eqx.Enumeration):
@@ -67,21 +65,6 @@ class GoalFit(Module):
     def in_std(self) -> Float[HostArray, " k"]:
         """The residual in units of the standard deviation [-]."""
         return self.residual / self.effector.std
-
-    @property
-    def off(self) -> str:
-        """How far it is off in each direction, in words: x 0.12 mm, turn x 0.3 deg."""
-        parts = zip(coordinate_names(self.effector), self.residual, strict=True)
-        unit, seen = self.effector.unit, self.effector.seen
-        show = lambda value: readable(float(f"{value:.3g}"), unit)
-        listed = [
-            f"{name} {show(value)}".strip()
-            for (name, value), counts in zip(parts, seen, strict=True)
-            if counts
-        ]
-        distance = self.effector.distance(self.reached)
-        far = len(listed) > 1 and bool(np.isfinite(distance))
-        return ", ".join(listed) + f" ({show(distance)} in all)" * far
 
 
 def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
@@ -163,7 +146,7 @@ class InverseResult(Result):
     """Actuation that brings the effectors to their goals, or as near as it can.
 
     Attributes:
-        outcome: How the search ended; `message` says it in words.
+        outcome: How the search ended.
         configuration: The configuration with the actuation found.
         solution: Its equilibrium.
         goals: How close each effector with a goal came to it.
@@ -205,35 +188,6 @@ class InverseResult(Result):
         return tuple(sorted(missed, key=error, reverse=True))
 
     @property
-    def message(self) -> str:
-        """The outcome in words: how far effectors are off, and what holds them."""
-        text = f"configuration {self.configuration.name!r}: {OUTCOMES[self.outcome]}"
-        unmet = self.unmet
-        for fit in unmet[:LISTED]:
-            text += f"; {fit.name!r} is off by {fit.off}"
-        if len(unmet) > LISTED:
-            text += f"; {len(unmet) - LISTED} more are off by less"
-        if unmet and self.held_by:
-            text += f"; held by {', '.join(self.held_by)}"
-        if unmet and self.blind is not None:
-            text += f"; held by a {self.blind}"
-        return text + "."
-
-    def _words(self) -> str:
-        return self.message
-
-    @property
-    def commanded(self) -> str:
-        """What is imposed on the commanded actuators, in words."""
-        imposed = lambda a: (getattr(a, a.imposed), getattr(a, f"{a.imposed}_unit"))
-        return ", ".join(
-            f"{a.name} = {readable_values([value], unit or '')}"
-            for a in self.actuators
-            if a.name in self.configuration.actuation
-            for value, unit in [imposed(a)]
-        )
-
-    @property
     def forces(self) -> dict[str, float]:
         """lambda_a of every actuator, by name, in its unit."""
         return {state.name: state.force for state in self.actuators}
@@ -257,15 +211,6 @@ class TrajectoryResult(Result):
     """
 
     points: tuple[InverseResult, ...]
-
-    @property
-    def headline(self) -> str:
-        """How many goals are met, in a sentence."""
-        n, missed = len(self.points), len(self.unmet)
-        return f"{n - missed} of {n} goals are met."
-
-    def _words(self) -> str:
-        return self.headline
 
     @property
     def inputs(self) -> Float[HostArray, "n_goals n_inputs"]:

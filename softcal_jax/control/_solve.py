@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax import _notebook
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
@@ -97,13 +98,14 @@ def solve_inverse(
     if guess is None:
         guess = np.zeros((model.n_points, 3))
     result = _result(command, *search(command, np.asarray(guess)))
-    if throw and result.outcome == OUTCOMES.no_equilibrium:
-        raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
-    if throw and result.outcome == OUTCOMES.interrupted:
-        raise KeyboardInterrupt(result.message)
-    if throw and not (result.met or result.outcome == OUTCOMES.nearest):
-        raise RuntimeError(result.message)
-    return result
+    if not throw or result.met or result.outcome == OUTCOMES.nearest:
+        return result
+    why = _notebook.headline_of(result)
+    if result.outcome == OUTCOMES.interrupted:
+        raise KeyboardInterrupt(why)
+    if result.outcome == OUTCOMES.no_equilibrium:
+        why += f" {RESULTS[result.solution.result]}."
+    raise RuntimeError(why)
 
 
 def follow_trajectory(

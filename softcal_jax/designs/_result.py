@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module, Result
-from softcal_jax._text import listed
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, bounded_step
 from softcal_jax.configurations import Configuration
@@ -14,8 +13,6 @@ from softcal_jax.control import GoalFit, strongest_limits
 from softcal_jax.designs._foam import FoamTable
 from softcal_jax.designs._peaks import Peak, limits_reached
 from softcal_jax.fields import ParameterSpace
-
-LISTED = 4  # missed goals that a message lists
 
 LEVEL = 0.95
 """Share of the prints whose error lies in the interval of a goal [-]."""
@@ -149,53 +146,6 @@ class DesignResult(Result):
     def values(self) -> dict[str, float]:
         """Values of the material as ordered, by parameter, in SI units."""
         return {name: self.fit.value(name) for name in self.material}
-
-    @property
-    def headline(self) -> str:
-        """The verdict, in a sentence."""
-        n, missed = len(self.goals), self.unmet
-        if not self.fit.converged:
-            return "Not designed: the search did not converge."
-        if missed:
-            return f"Not designed: {len(missed)} of {n} goals are missed."
-        if self.lost:
-            return "Not designed: a robust design was not found."
-        if not self.met:
-            return "Not designed: a limit is exceeded."
-        return f"Designed: all {n} goals are met." if n > 1 else "Designed: it is met."
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """What goals are off by, and what holds them there, one sentence each."""
-        reasons = [f"{g.label} is off by {g.off}." for g in self.unmet[:LISTED]]
-        if len(self.unmet) > LISTED:
-            reasons.append(f"{len(self.unmet) - LISTED} more are off by less.")
-        if self.lost:
-            reasons.append(f"This is the one of least error as ordered: {self.lost}")
-        if self.robust and self.unmet:
-            reasons.append("As ordered it is farther off, to be closer as printed.")
-        reasons += [f"{peak}." for peak in self.peaks if not peak.kept]
-        if self.held_by:
-            reasons.append(f"They are held by {listed(self.held_by)}.")
-        return (*reasons, *(f"{trade}." for trade in self.trades))
-
-    @property
-    def worth(self) -> tuple[str, ...]:
-        """What the design is worth, one sentence for each alternative."""
-
-        def sentence(a: Alternative) -> str:
-            missed, error = f"{a.error:.3g} tolerances off", f"{self.error:.3g}"
-            if np.isfinite(a.expected):
-                missed += f", {a.expected:.3g} as printed"
-                error += f" and {self.expected:.3g}"
-            if not a.result.converged:
-                missed += " or less (its search did not converge)"
-            return f"With {a.name} the goals are {missed}, with this design {error}."
-
-        return tuple(map(sentence, self.alternatives))
-
-    def _words(self) -> str:
-        return self.headline
 
 
 def expected_of(goals: Sequence[DesignGoal]) -> float:

@@ -36,6 +36,7 @@ from softcal_jax.export._vtu import (
     fibre_directions as fibre_directions,
     field_units as field_units,
     principal_stretches as principal_stretches,
+    read_displacement as read_displacement,
     tet_fields as tet_fields,
     von_mises_stress as von_mises_stress,
     write_pvd as write_pvd,

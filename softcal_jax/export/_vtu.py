@@ -135,6 +135,39 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     _save(path, at_rest, cells, at_points, of_cells)
 
 
+def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_points 3"]:
+    """Read the displacement of all nodes of a model from a file of `write_vtu` [m].
+
+    That of the frames of rigid bodies is read from the file of `write_robot_vtu` beside
+    it, which ends in `_robot.vtu`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, or is that of another mesh.
+    """
+    path, bodies = Path(path), model.mechanism.bodies
+    rest, n_b = np.asarray(model.mechanism.points), bodies.n_bodies
+    robot = path.with_name(f"{path.stem}_robot.vtu")
+    try:
+        u = meshio.read(path).point_data["displacement"]
+        if n_b:
+            seen = meshio.read(robot)
+            at = (seen.points + seen.point_data["displacement"])[:n_b, None]
+            axes = [seen.point_data[f"axis_{k}"][:n_b] for k in (1, 2, 3)]
+            ends = at + bodies.length * np.stack(axes, axis=1)
+            frames = np.concatenate([at, ends], axis=1).reshape(-1, 3)
+            u = np.concatenate([u, frames - rest[model.mesh.n_nodes :]])
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # libraries raise any
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if u.shape != rest.shape:
+        raise ValueError(
+            f"{path} has the displacement of {len(u)} points, the model has {len(rest)}"
+        )
+    return u
+
+
 def _felt(bodies: Sequence[str], state: RobotState) -> dict[str, HostArray]:
     """Return forces and moments on bodies, zero where nothing touches one."""
     felt = {contact.name: contact for contact in state.contacts}

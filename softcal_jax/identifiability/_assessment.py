@@ -18,12 +18,6 @@ from softcal_jax.unknowns import MESH
 
 Outcome = Literal["trust", "take with care", "do not use"]
 
-HEADLINES: dict[Outcome, str] = {
-    "trust": "Trust these values: the fit converged, and every check passed.",
-    "take with care": "Take these values with care:",
-    "do not use": "Do not use these values:",
-}
-
 FAR_OUT = 10.0
 """Size of the residuals over the stated errors beyond which values are useless [-]."""
 
@@ -141,18 +135,10 @@ class Assessment(Result):
             f"Held fixed, and not identifiable from these data: {', '.join(self.held)}."
         )
 
-    @property
-    def headline(self) -> str:
-        """The verdict; it ends with a colon where reasons follow."""
-        return HEADLINES[self.outcome]
-
     def seen(self, verdict: Verdict) -> str:
         """Write what the data tell of a parameter, if the model is not contradicted."""
         doubtful = self.contradicted and verdict != "not identifiable"
         return f"{verdict} if the model is right" if doubtful else verdict
-
-    def _words(self) -> str:
-        return " ".join([self.headline, *self.reasons])
 
 
 def assess(result: CalibrationResult, *, precision: float | None = None) -> Assessment:

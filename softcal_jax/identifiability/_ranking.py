@@ -87,19 +87,6 @@ class Ranking(Result):
     reached: str
     helps: bool
 
-    @property
-    def headline(self) -> str:
-        """Which candidate to measure next, in a sentence."""
-        if not self.gains:
-            return "No candidate can be ranked."
-        if not self.helps:
-            return "No candidate lowers the errors: know what is held fixed better."
-        best = self.gains[0]
-        return f"Candidate {best.name!r} tells most: {best.effect}."
-
-    def _words(self) -> str:
-        return self.headline
-
 
 def rank_configurations(
     model: Model,

@@ -350,15 +350,6 @@ class Identifiability(Result):
         return tuple(d for d in self.directions if d.verdict == "not identifiable")
 
     @property
-    def headline(self) -> str:
-        """The verdict in a sentence."""
-        n_data, n_p = self.n_data, self.n_parameters
-        return (
-            f"{self.verdict.capitalize()} at these values: {n_data} measured "
-            f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}."
-        )
-
-    @property
     def advice(self) -> tuple[str, ...]:
         """What to do, in sentences; empty if nothing needs to be done."""
         if self.n_data == 0:
@@ -378,9 +369,6 @@ class Identifiability(Result):
             "clamped) or markers: `softcal identify` says which. Or calibrate fewer "
             "parameters.",
         )
-
-    def _words(self) -> str:
-        return self.headline
 
     @property
     def scale(self) -> str:

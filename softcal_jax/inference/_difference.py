@@ -15,13 +15,9 @@ from scipy.special import chdtrc
 from softcal_jax._module import Module
 from softcal_jax._text import listed
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax._units import readable
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference._least_squares import RANK
 from softcal_jax.inference._uncertainty import UNLIKELY
-
-_COARSE = 0.3
-"""Difference over a value, or in rad, that must be seen if agreement is to say much."""
 
 
 class Estimate(NamedTuple):
@@ -77,35 +73,6 @@ class Difference(Module):
     def agree(self) -> bool:
         """Whether both agree within their errors, and each with its own data."""
         return self.probability >= UNLIKELY and not self.contradicted
-
-    @property
-    def verdict(self) -> str:
-        """What the values hold for, in a sentence or two."""
-        chi2 = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
-        by = lambda i, sizes: (
-            f"{self.names[i]} by {readable(float(f'{sizes[i]:.2g}'), self.units[i])}"
-        )
-        if self.contradicted:
-            return (
-                f"The model contradicts the data of {listed(self.contradicted)}: such "
-                "values hold at most for the loads and shape that they were fitted to. "
-                f"Between A and B: {chi2}."
-            )
-        if self.agree:
-            size = np.where(np.array(self.units) == "rad", 1.0, np.abs(self.of_a))
-            coarse = np.flatnonzero(self.unseen > _COARSE * size).tolist()
-            hidden = [by(i, self.unseen) for i in coarse]
-            text = f"Both agree within their errors ({chi2})"
-            if hidden:
-                return f"{text}, but a difference could hide: {listed(hidden)}."
-            return f"{text}, as material properties would."
-        largest = np.argsort(-np.abs(self.worst / self.unseen))[:4].tolist()
-        changes = [by(i, self.worst) for i in largest]
-        return (
-            f"They do not agree ({chi2}): the values of at least one robot hold only "
-            "for its loads and shape. From A to B they differ most in "
-            f"{listed(changes)} ({self.worst_size:.1f} standard errors)."
-        )
 
 
 def difference(a: Estimate, b: Estimate) -> Difference:

@@ -6,9 +6,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from softcal_jax._module import Module, Result
-from softcal_jax._text import listed
 from softcal_jax._typing import HostArray
-from softcal_jax._units import readable_values
 from softcal_jax.identifiability import Identifiability
 
 LEVEL_OF_COMPARISON = 0.95
@@ -166,51 +164,6 @@ class ModelComparison(Result):
         """The models that the data cannot tell from the best."""
         others = zip(self.models[1:], self.differences, strict=True)
         return tuple(m.name for m, d in others if not (m.failed or d.told_apart))
-
-    @property
-    def verdict(self) -> str:
-        """A sentence that says whether the data can tell the models apart."""
-        best = self.best
-        if best is None:
-            return "No model predicts every configuration, so none can be preferred."
-        size = readable_values([best.held_out_rms], "m", digits=3) + ", "
-        first = (
-            f"{best.name!r} has the smallest held-out error: "
-            f"{size * bool(np.isfinite(best.held_out_rms))}"
-            f"{best.held_out_noise_rms:.2f} times the noise."
-        )
-        rivals = [model for model in self.models[1:] if not model.failed]
-        close = [model for model in rivals if model.name in self.undecided]
-        worse = [model for model in rivals if model.name not in self.undecided]
-        names = lambda models: listed([repr(model.name) for model in models])
-        if not rivals:
-            return f"{first} No other model predicts every configuration."
-        if not close:
-            return f"{first} The data distinguish it from {names(worse)}."
-        text = f"{first} The data cannot distinguish it from {names(close)}"
-        text += f", but can from {names(worse)}." if worse else "."
-        fewest = min([best, *close], key=lambda m: (m.n_parameters, m.score))
-        if fewest.n_parameters < best.n_parameters:
-            text += f" Of these, {fewest.name!r} has the fewest parameters."
-        return text
-
-    @property
-    def failures(self) -> list[str]:
-        """Which fits failed and why, one sentence each."""
-        lines = []
-        for model in self.models:
-            lines += [
-                f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
-                for fold in model.failed
-            ]
-            if model.fit_failure:
-                lines.append(
-                    f"{model.name!r}, all configurations fitted: {model.fit_failure}."
-                )
-        return lines
-
-    def _words(self) -> str:
-        return self.verdict
 
 
 def root_mean_square(values: Sequence[float] | HostArray) -> float:

@@ -25,15 +25,16 @@ from softcal_jax.fields import ControlPointParameters
 from softcal_jax.identifiability import LOST, Assessment, Identifiability
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.materials import youngs_moduli
+from softcal_jax.report._headlines import commanded, headline, missed, off, worth
 from softcal_jax.report._verdict import TONES, listed_fits, value_column, verdict
 
 
 def design_sections(result: DesignResult) -> tuple[Section, ...]:
     """Write fields as ordered, goals, commands, limits, and what less could do."""
-    reasons = *result.reasons, *result.worth
+    reasons = *missed(result), *worth(result)
     goals = _designed(result), _commands(result), _limits(result)
     return (
-        verdict(result.headline, "good" if result.met else "doubtful", reasons),
+        verdict(headline(result), "good" if result.met else "doubtful", reasons),
         Section("goals", "Goals", (), goals),
         Section("ordered", "As ordered", (), (_ordered(result),)),
         Section("worth", "What it is worth", (), (_worth(result),)),
@@ -137,14 +138,14 @@ def inverse_sections(result: InverseResult | TrajectoryResult) -> tuple[Section,
     """Write how closely goals are met, and what the actuators do for it."""
     if isinstance(result, TrajectoryResult):
         return _trajectory(result)
-    commanded = (f"Commanded: {result.commanded}.",)
+    inputs = (f"Commanded: {commanded(result)}.",)
     reached = ("Active limits:", *result.active_limits) if result.active_limits else ()
     tried = [(a.way, a.n_steps, a.error) for a in result.attempts]
     heads = "started from | steps | largest error, in standard deviations [ratio]"
     search = (Table.of("Descents", heads, tried),)
     tables = goal_table(result.goals), _actuators(result)
     return (
-        verdict(result.message, "good" if result.met else "doubtful", commanded),
+        verdict(headline(result), "good" if result.met else "doubtful", inputs),
         Section("goals", "Goals and commands", reached, tables),
         Section("search", "Course of the search", (), search, folded=True),
     )
@@ -152,14 +153,14 @@ def inverse_sections(result: InverseResult | TrajectoryResult) -> tuple[Section,
 
 def _trajectory(result: TrajectoryResult) -> tuple[Section, ...]:
     points = result.points
-    missed = [points[i].message for i in result.unmet]
-    rows = [(i, point.commanded, point.message) for i, point in enumerate(points, 1)]
+    far = [headline(points[i]) for i in result.unmet]
+    rows = [(i, commanded(p), headline(p)) for i, p in enumerate(points, 1)]
     tones: list[Tone] = ["good" if point.met else "bad" for point in points]
     table = Table.of(
         "Commands", "goal | inputs | outcome", rows, about={"outcome": {"tones": tones}}
     )
     return (
-        verdict(result.headline, "doubtful" if missed else "good", missed),
+        verdict(headline(result), "doubtful" if far else "good", far),
         Section("goals", "Goals and commands", (), (table,)),
     )
 
@@ -171,7 +172,7 @@ def goal_table(goals: Sequence[GoalFit]) -> Table:
         both = [fit.effector.measured, fit.reached]
         worst = float(np.max(np.abs(fit.in_std), initial=0.0))
         pair = (_coordinates(fit, values, both) for values in both)
-        rows.append((_name(fit), *pair, fit.off, worst))
+        rows.append((_name(fit), *pair, off(fit), worst))
     heads = "effector | goal | reached | off by | standard deviations [step]"
     return Table.of("Goals", heads, rows)
 
@@ -344,7 +345,7 @@ def optima_table(starts: MultiStartResult | None) -> Table:
     optima = () if starts is None else starts.optima[:MOST_OPTIMA]
     rows = [(one.cost, len(one.starts), one.words) for one in optima]
     heads = "cost [ratio] | starts that end there | values"
-    return Table.of("Optima", heads, rows, note=starts.words if starts else "")
+    return Table.of("Optima", heads, rows, note=headline(starts) if starts else "")
 
 
 def error_tables(

@@ -15,10 +15,15 @@ from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
 from softcal_jax._process import installed_version
 from softcal_jax._text import SoftcalWarning, check_known, listed
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import RESULT_FORMAT, complete_results, solver_dict
+from softcal_jax.export import (
+    RESULT_FORMAT,
+    complete_results,
+    read_displacement,
+    solver_dict,
+)
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
@@ -47,7 +52,9 @@ _READ = _record(
     converged=_TRUTH,
     source=cs.nullable_schema(_SOURCE),
     parameters=cs.list_schema(_PARAMETER),
-    configurations=cs.list_schema(_record(name=_TEXT, rms_after_mm=_END)),
+    configurations=cs.list_schema(
+        _record("files", name=_TEXT, rms_after_mm=_END, files=cs.list_schema(_TEXT))
+    ),
     solver=cs.dict_schema(_TEXT, _SIZE),
     budget=_record(covariance=cs.list_schema(cs.list_schema(_END))),
     assessment=_record("outcome contradicted", **_JUDGED),
@@ -78,6 +85,7 @@ class LoadedResult(Module):
         estimate: What the calibration says of them, to compare with another's.
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
+        bodies: The .vtu of each configuration that had an equilibrium.
         converged: Whether the calibration converged; if not, do not use the values.
         outcome: What may be done with the values, see `Assessment`.
         doubts: Why it is no more than that.
@@ -91,6 +99,7 @@ class LoadedResult(Module):
     z: Float[Array, " n_p"]
     estimate: Estimate
     errors: dict[str, float]
+    bodies: dict[str, Path]
     converged: bool
     outcome: str
     doubts: tuple[str, ...]
@@ -126,6 +135,24 @@ class LoadedResult(Module):
         mesh, mechanism = self.model.mesh, self.model.mechanism
         batch = configurations.configuration_arrays(mesh, [posed[name]], mechanism)
         return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
+
+    def displacement(self, name: str) -> Float[HostArray, "n_points 3"] | None:
+        """Read the equilibrium that the calibration found of a configuration [m].
+
+        It is near any other with the same supports and loads: a `guess` for
+        `solve_equilibrium` and `solve_inverse`. None where no file holds it.
+
+        Raises:
+            ResultError: If its file is damaged.
+        """
+        path = self.bodies.get(name)
+        if path is None or not path.is_file():
+            return None
+        try:
+            return read_displacement(path, self.model)
+        except (OSError, ValueError) as error:
+            remedy = "delete that file to start from rest, or calibrate again"
+            raise ResultError(f"{error}: {remedy}.") from error
 
 
 def load_result(
@@ -172,6 +199,12 @@ def load_result(
     said = data["assessment"]
     missed = {fit["name"]: fit["rms_after_mm"] for fit in data["configurations"]}
     errors = {k: np.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
+    bodies = {
+        fit["name"]: path.parent / file
+        for fit in data["configurations"]
+        for file in fit.get("files", [])[:1]
+        if file.endswith(".vtu")
+    }
     C = np.array(data["budget"]["covariance"], float)
     return LoadedResult(
         path=path,
@@ -182,6 +215,7 @@ def load_result(
         z=z,
         estimate=Estimate(space, z, C, said.get("contradicted", False)),
         errors=errors,
+        bodies=bodies,
         converged=data["converged"],
         outcome=said.get("outcome", "take with care"),
         doubts=tuple(said["reasons"]),

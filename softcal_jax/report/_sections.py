@@ -36,6 +36,7 @@ from softcal_jax.layouts import ModelComparison
 from softcal_jax.project import Project
 from softcal_jax.report import _goals
 from softcal_jax.report._goals import design_sections, inverse_sections
+from softcal_jax.report._headlines import failures, headline
 from softcal_jax.report._html import output
 from softcal_jax.report._sweep import sweep_sections
 from softcal_jax.report._verdict import (
@@ -72,11 +73,13 @@ class Transfer(Result):
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON, in SI; None where a number is not known."""
         d = self.difference
-        judged = ("probability", "agree", "verdict")
-        return {**plain(self), **{key: getattr(d, key) for key in judged}}
+        judged = {key: getattr(d, key) for key in ("probability", "agree")}
+        return {**plain(self), **judged, "verdict": headline(self)}
 
-    def _words(self) -> str:
-        return self.difference.verdict
+
+@headline.register
+def _(result: Transfer) -> str:
+    return headline(result.difference)
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
@@ -178,7 +181,7 @@ def calibration_sections(
 def _search(result: MultiStartResult) -> tuple[Section, ...]:
     optima = _goals.optima_table(result)._replace(note="")
     return (
-        verdict(result.words, "plain"),
+        verdict(headline(result), "plain"),
         Section("optima", "Optima", (), (optima,)),
     )
 
@@ -211,7 +214,7 @@ def _simulation(result: SimulationResult) -> tuple[Section, ...]:
     tables = _goals.simulation_table(result), *_goals.robot_tables(poses)
     words = (f"{_goals.model_words(result.model)}.",)
     return (
-        verdict(result.headline, tone if result.converged else "bad", result.doubts),
+        verdict(headline(result), tone if result.converged else "bad", result.doubts),
         Section("states", "States", (), tables),
         Section("errors", "Errors", errors),
         Section("model", "Model", words, folded=True),
@@ -222,10 +225,10 @@ def _assessment(assessment: Assessment) -> tuple[Section, ...]:
     _, *known = outlook_sections(assessment.identifiability, None)
     provided = ("If the model is right:",) * assessment.contradicted
     said = assessment.held_fixed, assessment.prediction
-    headline = assessment.identifiability.headline
+    outlook = headline(assessment.identifiability)
     return (
         verdict_of(assessment),
-        Section("outlook", "What the data determine", (*provided, headline)),
+        Section("outlook", "What the data determine", (*provided, outlook)),
         *known,
         Section("prediction", "Prediction", tuple(filter(None, said))),
     )
@@ -242,7 +245,7 @@ def outlook_sections(
             tables.append(_goals.budget_table(outlook.budget))
         unseen = _blindness(outlook)
         tree = [
-            verdict(outlook.headline, TONES[outlook.verdict]),
+            verdict(headline(outlook), TONES[outlook.verdict]),
             Section("parameters", "Parameters", (), tuple(tables)),
             Section("directions", "Combinations of the parameters", unseen),
         ]
@@ -250,8 +253,8 @@ def outlook_sections(
     if ranking is not None:
         rows = [(gain.name, gain.effect) for gain in ranking.gains]
         tables = (Table.of("Candidates", "candidate | what falls most", rows),)
-        said = (ranking.headline,) if outlook else ()
-        tree += [] if outlook else [verdict(ranking.headline, "plain")]
+        said = (headline(ranking),) if outlook else ()
+        tree += [] if outlook else [verdict(headline(ranking), "plain")]
         tree.append(Section("candidates", "What candidates would add", said, tables))
         left = ranking.unranked.items()
         advice = [f"Not ranked: {name!r}: {reason}." for name, reason in left]
@@ -338,8 +341,8 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
     title = "Held-out error of each configuration"
     alone = Table(title, (Column("configuration", poses), *folds))
     return (
-        verdict(comparison.verdict, tone),
-        Section("failures", "What failed", tuple(comparison.failures)),
+        verdict(headline(comparison), tone),
+        Section("failures", "What failed", tuple(failures(comparison))),
         Section("models", "Models", (), (table,)),
         Section("folds", "Held-out configurations", (), (alone,), folded=True),
     )
@@ -359,7 +362,7 @@ def _transfer(result: Transfer) -> tuple[Section, ...]:
     rows = zip(result.poses, *errors, strict=True)
     poses = Table.of("Prediction", heads, rows)
     return (
-        verdict(d.verdict, "plain", lost),
+        verdict(headline(result), "plain", lost),
         Section("values", "Values", (), (Table("Values", values), poses)),
     )
 

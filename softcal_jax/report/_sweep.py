@@ -13,6 +13,7 @@ from softcal_jax._files import replacing
 from softcal_jax._tree import Chart, Column, Section, Table, Tone
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict
+from softcal_jax.report._headlines import headline, trouble
 from softcal_jax.report._html import REPEATED, closing, node, page
 from softcal_jax.report._verdict import verdict
 from softcal_jax.sweeps import (
@@ -86,7 +87,7 @@ def sweep_sections(
     best, sentence = _best_trials(result)
     varied = [_varied_table(result)]
     return (
-        verdict(result.headline, tone, _doubts(result)),
+        verdict(headline(result), tone, _doubts(result)),
         Section("notes", "Notes", _notes(result), tone="doubtful"),
         Section("means", "Means over repetitions", said, tables),
         Section("best", "Best trials", sentence, best),
@@ -170,7 +171,7 @@ def _doubts(result: SweepResult) -> Iterator[str]:
             f"{bad} {what} failed or did not converge, and count in no mean, chart or "
             "best value."
         )
-    yield from (f"{state.capitalize()}, {text}" for state, text in result.reasons)
+    yield from (f"{state.capitalize()}, {text}" for state, text in trouble(result))
     if left := len(result.missing):
         what = "trial is" if left == 1 else "trials are"
         yield f"{left} {what} left to do: the same command resumes from here."

@@ -17,6 +17,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
 from softcal_jax.identifiability import Assessment
+from softcal_jax.report._headlines import headline
 
 _SCOPE = (
     "The values hold for these loads and this shape. To test whether they are material "
@@ -88,7 +89,7 @@ def verdict(sentence: str, tone: Tone, reasons: Iterable[str] = ()) -> Section:
 
 def verdict_of(assessment: Assessment) -> Section:
     """Say in one sentence whether the values of a calibration can be used."""
-    return verdict(assessment.headline, TONES[assessment.outcome], assessment.reasons)
+    return verdict(headline(assessment), TONES[assessment.outcome], assessment.reasons)
 
 
 def _next_step(result: CalibrationResult, assessment: Assessment) -> str:

@@ -21,6 +21,7 @@ from softcal_jax.sweeps._row import (
     CalibrationTrial as CalibrationTrial,
     Outcome as Outcome,
     Progress as Progress,
+    State as State,
     TrialRow as TrialRow,
 )
 from softcal_jax.sweeps._run import run_part as run_part, run_sweep as run_sweep

@@ -1,12 +1,11 @@
 """Rows of a sweep so far and their groups, as CSV and as a picture."""
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from softcal_jax.sweeps._row import (
     flat_columns,
     is_of_the_fit,
 )
-from softcal_jax.sweeps._trial import describe, shown
+from softcal_jax.sweeps._trial import shown
 
 
 def figure_name(name: str) -> tuple[str, str]:
@@ -143,30 +142,6 @@ class SweepResult:
                 ),
             )
             for keys in groups.values()
-        )
-
-    @property
-    def headline(self) -> str:
-        """How many trials have ended, and how."""
-        n, total = len(self.states), len({*self.states, *self.planned})
-        counts = Counter(self.states.values())
-        how = (f"{counts[s]} {s}" for s in get_args(State) if counts[s])
-        ended = f": {', '.join(how)}" if n else ""
-        return f"{n} of {total} trials have ended{ended}."
-
-    @property
-    def reasons(self) -> tuple[tuple[State, str], ...]:
-        """Why trials failed or did not converge, each reason once, after the state."""
-        rows: dict[tuple[State, str], list[TrialRow]] = {}
-        for row in self.rows:
-            if row.state != "converged":
-                first, *more = row.reason.strip().splitlines() or [""]
-                reason = first + (" ..." if more else "")
-                rows.setdefault((row.state, reason), []).append(row)
-        many = lambda n: "1 trial" if n == 1 else f"{n} trials, the first"
-        return tuple(
-            (state, f"{many(len(alike))} at {describe(alike[0].point)}: {reason}")
-            for (state, reason), alike in rows.items()
         )
 
     def __str__(self) -> str:

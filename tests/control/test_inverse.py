@@ -25,6 +25,7 @@ from softcal_jax.control import (
     follow_trajectory,
     solve_inverse,
 )
+from softcal_jax.report import headline
 from softcal_jax.report._goals import goal_table
 
 FINE = ControlSettings(tol=1e-6)
@@ -98,8 +99,8 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     )
     check(result)
     assert result.outcome == OUTCOMES.nearest
-    assert "nearest reachable point" in result.message
-    assert "'tip'" in result.message
+    assert "nearest reachable point" in headline(result)
+    assert "'tip'" in headline(result)
     force = limits.get("top", Limits()).force
     angle = limits.get("motor", Limits()).displacement
     top = np.linspace(0.0, min(force[1], 3.0), 7)

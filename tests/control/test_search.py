@@ -29,6 +29,7 @@ from softcal_jax.control import (
 from softcal_jax.equilibrium import build_model, solve_equilibrium
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
+from softcal_jax.report import headline
 
 DIRECT, FEW = ControlSettings(other_starts=0), ControlSettings(other_starts=3)
 
@@ -87,7 +88,7 @@ def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
     interrupted_at(monkeypatch, step)
     result = solve_inverse(model, start, goals=goal, throw=False, **more)
     assert result.outcome == OUTCOMES.interrupted
-    assert says(result.message, "interrupted", "'end' is off by")
+    assert says(headline(result), "interrupted", "'end' is off by")
     assert not result.met
     assert sum(tried.n_steps for tried in result.attempts) == step - 1
     least = min(tried.error for tried in result.attempts)
@@ -150,7 +151,7 @@ def test_a_direction_that_nothing_moves_is_named():
     np.testing.assert_allclose(blind.off, -aside * normal, atol=2e-6)
     assert blind.gain < 1e-6
     np.testing.assert_allclose(result.goals[0].residual, blind.off, atol=5e-6)
-    assert says(result.message, "'tip' is off by x ... blind direction x of 'tip'")
+    assert says(headline(result), "'tip' is off by x ... blind direction x of 'tip'")
 
 
 def test_the_limit_that_holds_is_named_and_another_is_not():
@@ -171,7 +172,7 @@ def test_the_limit_that_holds_is_named_and_another_is_not():
     held = run()
     assert held.outcome == OUTCOMES.nearest
     assert says(held.held_by, "displacement ... 'motor' ... upper")
-    assert "held by" in held.message
+    assert "held by" in headline(held)
     assert distance(run(motor=Limits(displacement=(-0.1, 0.25)))) < distance(held)
 
 

@@ -29,6 +29,7 @@ from softcal_jax.identifiability import (
     proposals,
     rank_configurations as rank_with,
 )
+from softcal_jax.report import headline
 
 KNOWN = {"uncertain": exactly_known()}
 identify = partial(identify_with, **KNOWN)
@@ -128,7 +129,7 @@ def test_a_candidate_that_passes_on_more_error_than_it_tells():
     unsure = replace(exactly_known(), loads=0.5)
     fine = replace(pose("fine", TIP, std=1e-5), loads=PULL.loads)
     ranked = rank_with(model, SPACE, known, [fine], uncertain=unsure)
-    assert says(ranked.headline, "No candidate", "held fixed")
+    assert says(headline(ranked), "No candidate", "held fixed")
 
 
 def test_with_nothing_known_a_candidate_gives_its_own_verdict():

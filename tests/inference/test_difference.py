@@ -8,6 +8,7 @@ from wording import says
 
 from softcal_jax.fields import Parameter, ParameterSpace, load_factor
 from softcal_jax.inference import Estimate, difference
+from softcal_jax.report import headline
 
 
 def space(scale="log", start=1e5):
@@ -39,7 +40,7 @@ def test_differences_add_their_variances():
     assert found.chi_squared == pytest.approx(1.0 + 1.0, rel=1e-10)
     assert found.probability == pytest.approx(chi2.sf(2.0, 2), rel=1e-10)
     assert found.agree
-    assert says(found.verdict, "agree within their errors", "2 for 2", "material")
+    assert says(headline(found), "agree within their errors", "2 for 2", "material")
 
 
 def test_a_direction_in_which_both_are_sure_tells_them_apart():
@@ -53,7 +54,7 @@ def test_a_direction_in_which_both_are_sure_tells_them_apart():
     assert not found.agree
     assert found.worst_size == pytest.approx(np.sqrt(found.chi_squared), rel=1e-3)
     np.testing.assert_allclose(found.worst, d, rtol=0.05)
-    assert says(found.verdict, "do not agree", "E by 2 kPa", "nu by -0.02")
+    assert says(headline(found), "do not agree", "E by 2 kPa", "nu by -0.02")
 
 
 def test_what_only_one_knows_is_left_out():
@@ -73,8 +74,8 @@ def test_agreement_that_says_little_is_not_praised():
     a = estimate(1e5, 2e4, 0.3, 0.01)
     found = difference(a, estimate(1.1e5, 2e4, 0.3, 0.01))
     assert found.agree
-    assert says(found.verdict, "agree", "could hide", "E by 57 kPa")
-    assert "material" not in found.verdict
+    assert says(headline(found), "agree", "could hide", "E by 57 kPa")
+    assert "material" not in headline(found)
 
 
 def test_parameters_that_vary_together_count_once():
@@ -99,4 +100,4 @@ def test_a_robot_that_its_own_fit_contradicts_agrees_with_none():
         found = difference(one, other)
         assert found.probability == 1.0
         assert not found.agree
-        assert says(found.verdict, f"contradicts the data of {names}:", "shape")
+        assert says(headline(found), f"contradicts the data of {names}:", "shape")

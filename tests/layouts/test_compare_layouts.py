@@ -26,6 +26,7 @@ from softcal_jax.layouts import (
     _compare,
     compare_layouts as compare_layouts_with,
 )
+from softcal_jax.report import headline
 from softcal_jax.robots import synthetic_measurements
 
 calibrate = partial(calibrate_with, starts=1, intervals=None)
@@ -273,7 +274,7 @@ def test_the_smallest_of_those_that_are_not_told_apart():
     assert [s.name for s in compared.models] == ["best", "near", "small"]
     assert compared.best.name == "best"
     assert compared.undecided == ("near", "small")
-    assert says(compared.verdict, "Of these, 'small'")
+    assert says(headline(compared), "Of these, 'small'")
 
 
 @pytest.mark.parametrize(

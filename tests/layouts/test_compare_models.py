@@ -21,6 +21,7 @@ from softcal_jax.layouts import (
     compare_laws,
 )
 from softcal_jax.project import ProjectError, compare_projects, load_project
+from softcal_jax.report import headline
 
 POSES = ("a", "b", "c", "d", "e")
 ROOT = [4.0, 9.0, 1.0, 16.0, 2.0]
@@ -63,7 +64,7 @@ def test_pairing_sees_what_the_errors_alone_hide():
     compared = ModelComparison.ranked([near, best])
     assert [m.name for m in compared.models] == ["best", "near"]
     assert compared.undecided == ()
-    assert says(compared.verdict, "distinguish ... 'near'")
+    assert says(headline(compared), "distinguish ... 'near'")
 
 
 def test_the_verdict_names_what_is_undecided():
@@ -73,9 +74,9 @@ def test_the_verdict_names_what_is_undecided():
     result = ModelComparison.ranked([bad, close, best])
     assert result.undecided == ("neo-hookean",)
     numbers, others = "1 mm, 2.53 times", "'neo-hookean' ... 'gent' ... 'neo-hookean'"
-    assert says(result.verdict, "'yeoh'", numbers, "cannot", others, "fewest")
+    assert says(headline(result), "'yeoh'", numbers, "cannot", others, "fewest")
     text = str(result)
-    assert text.splitlines()[0] == result.verdict
+    assert text.splitlines()[0] == headline(result)
     assert "8.80 ± 0.56" in text  # 2.776 standard errors: four degrees of freedom
     data = json.loads(json.dumps(result_dict(result), allow_nan=False))
     assert data["best"] == "yeoh"
@@ -88,11 +89,11 @@ def test_failed_folds_rank_last_and_are_named():
     whole, broken = score("whole", worse(1, 1, 1, 1, 1)), score("broken", ROOT, 1, "b")
     compared = ModelComparison.ranked([broken, whole])
     assert compared.best.name == "whole"
-    assert says(compared.verdict, "No other model")
+    assert says(headline(compared), "No other model")
     assert says(compared, "'broken', b ... no equilibrium")
     none = ModelComparison.ranked([broken])
     assert none.best is None
-    assert says(none.verdict, "No model")
+    assert says(headline(none), "No model")
     assert json.dumps(result_dict(none), allow_nan=False)
     assert result_dict(none)["best"] is None
 

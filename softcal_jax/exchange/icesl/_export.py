@@ -13,7 +13,15 @@ from softcal_jax.designs import FoamTable, Infill, foam_table, write_foam_table
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.icesl import _report as report
 from softcal_jax.exchange.icesl._report import IceslResult
-from softcal_jax.exchange.icesl._settings import Convention, Design, PrintPlane, choose
+from softcal_jax.exchange.icesl._settings import (
+    Convention,
+    Design,
+    PrintPlane,
+    choose,
+    part_on_bed,
+    print_plane,
+    sample,
+)
 from softcal_jax.export import results_folder, write_json
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import Project
@@ -88,9 +96,9 @@ def export_icesl(
             f"the table is of {foam.infill}, and the infill is {infill!r}: give both "
             "alike."
         )
-    plane = plane or foam.print_plane(design.model)
-    part = foam.part_on_bed(design.model.mesh, plane=plane, region=region)
-    samples = foam.sample(design, part)
+    plane = plane or print_plane(design.model)
+    part = part_on_bed(design.model.mesh, plane=plane, region=region)
+    samples = sample(design, part)
     convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
     chosen = choose(samples, foam, convention)
     notes = report.print_notes(samples, chosen, foam)
