@@ -30,7 +30,14 @@ from from_code import (
 )
 from messages import VALUE, anchor, messages
 from packaging.requirements import Requirement
-from project_keys import PAGE, keys_page, rows as keys_in, sections
+from project_keys import (
+    COMMANDS,
+    PAGE,
+    commands_page,
+    keys_page,
+    rows as keys_in,
+    sections,
+)
 from recorded import MARK, numbers, pages, renewed, written
 from records import committed, goals_of, rows
 from wording import says
@@ -277,7 +284,7 @@ def test_errors_and_warnings_are_found():
 def test_every_command_has_its_help():
     """Those that `softcal --help` lists, and the kinds of `softcal export`."""
     page = (DOCS / "reference/commands.md").read_text()
-    shown = set(re.findall(r"^```\{help\}(?: (.+))?$", page, re.M))
+    shown = set(re.findall(r"^## softcal ?(.*)$", page, re.M))
     named = lambda command: set(
         re.findall(r"(?m)^ {4}([a-z]\w*(?: show)?)(?: |$)", help_text(command))
     )
@@ -487,6 +494,7 @@ def test_the_table_of_result_json_has_every_key():
 def test_the_page_of_project_files_is_that_of_the_program():
     """Where it is not, `python docs/_ext/project_keys.py` writes it."""
     assert PAGE.read_text(encoding="utf-8") == keys_page()
+    assert COMMANDS.read_text(encoding="utf-8") == commands_page()
 
 
 def test_the_page_of_project_files_has_every_key():

@@ -1,6 +1,6 @@
 """What pages take from the code, so that it is never out of date.
 
-Directives: `help` (the help of a command), `message` (of a member of an enumeration of
+Directives: `message` (of a member of an enumeration of
 outcomes), `refusal` (what a project file with a mistake is answered), `raised` (classes
 of errors and warnings), `names` (those that `softcal_jax` offers, with links), `shown`
 (a command of the README), `licences` (of all that is installed with the package),
@@ -191,18 +191,6 @@ def _quoted(message: str) -> nodes.container:
     """Show a message as it was printed, so that it is found by its words."""
     text = nodes.literal_block(message, message, language="text")
     return nodes.container("", text, classes=["message", "wrapped"])
-
-
-class Help(Directive):
-    """The help of a command, as its terminal shows it."""
-
-    optional_arguments = 1
-    final_argument_whitespace = True
-
-    def run(self) -> list[nodes.Node]:
-        """Print it."""
-        text = help_text(" ".join(self.arguments))
-        return [nodes.literal_block(text, text, language="text")]
 
 
 class Message(Directive):
@@ -423,7 +411,7 @@ def setup(app: Any) -> dict[str, bool]:
     for kind in PyObject.doc_field_types:
         if kind.name == "variable":
             kind.label = "Attributes"  # as docstrings call them, not "Variables"
-    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
+    for directive in (Message, Refusal, Raised, Names, Licences, Shown):
         app.add_directive(directive.__name__.lower(), directive)
     app.add_directive("keys", KeysTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,8 +1,9 @@
-"""The page of the keys of project files, written to disk.
+"""The pages of the keys of project files and of the commands, written to disk.
 
 `python docs/_ext/project_keys.py` writes `docs/reference/project-file.md` from the
 tables of the program: what a key expects is what an error says of it, and what it means
-is in the docstring of what the table makes. A test fails where the page is out of date.
+is in the docstring of what the table makes. In `docs/reference/commands.md` it writes
+what each command prints with `--help`. A test fails where a page is out of date.
 """
 
 import inspect
@@ -12,6 +13,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
+from from_code import help_text
 from pydantic import ValidationError
 
 from softcal_jax import fields, mesh
@@ -61,6 +63,7 @@ from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._table import Maker, _in_words, table_of
 
 PAGE = Path(__file__).parents[1] / "reference" / "project-file.md"
+COMMANDS = PAGE.with_name("commands.md")
 
 HEAD = """\
 # Keys of a project file
@@ -398,5 +401,13 @@ def keys_page() -> str:
     return "\n".join(lines)
 
 
+def commands_page() -> str:
+    """Return the page of commands, with what each prints with `--help` now."""
+    block = r"(?ms)^(## softcal ?([^\n]*)\n\n)```text\n.*?\n```$"
+    shown = lambda found: f"{found[1]}```text\n{help_text(found[2])}\n```"
+    return re.sub(block, shown, COMMANDS.read_text(encoding="utf-8"))
+
+
 if __name__ == "__main__":
     PAGE.write_text(keys_page(), encoding="utf-8")
+    COMMANDS.write_text(commands_page(), encoding="utf-8")
