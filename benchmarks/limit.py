@@ -206,7 +206,7 @@ def newton_errors(model: Model, lane: ConfigurationArrays) -> list[float]:
     Returns:
         Over the largest displacement, down to rounding.
     """
-    exact = solve(model, lane, settings=NewtonSettings(rtol=ROUNDING)).displacement
+    exact = solve(model, lane, settings=NewtonSettings(rtol=1e-15)).displacement
 
     @eqx.filter_jit
     def step(model, lane, u):

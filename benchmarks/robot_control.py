@@ -52,7 +52,7 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import BodyFrame
 from softcal_jax.control import InverseResult, Limits, sample_workspace, solve_inverse
 from softcal_jax.equilibrium import Model
-from softcal_jax.report import headline
+from softcal_jax.export import headline
 
 N_GOALS = 20
 

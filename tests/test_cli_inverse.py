@@ -12,6 +12,7 @@ from wording import says
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _calibrated, main
 from softcal_jax.control import _search, sample_workspace
+from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import load_factor
 from softcal_jax.report import load_result
 
@@ -108,6 +109,22 @@ def test_the_force_that_brings_the_tip_to_a_height(calibrated, tmp_path, capsys)
         for name in ("out/result.json", "project.toml", "markers.csv")
     }
     assert "Goals" in page.tables
+
+
+def test_a_calibrated_pose_is_a_start(calibrated, tmp_path):
+    """Its equilibrium was written, and Newton's method has nothing left to do there."""
+    loaded = load_result(calibrated / "out")
+    _, lane = loaded.posed("weight")
+    guess = loaded.displacement("weight")
+    solved = solve_equilibrium(loaded.model, lane, guess=guess)
+    assert solved.converged
+    assert int(solved.steps) <= 1 < int(solve_equilibrium(loaded.model, lane).steps)
+    np.testing.assert_allclose(solved.displacement, guess, atol=1e-9)
+    loaded.bodies["weight"].rename(tmp_path / "weight.vtu")
+    try:
+        assert loaded.displacement("weight") is None
+    finally:
+        (tmp_path / "weight.vtu").rename(loaded.bodies["weight"])
 
 
 def test_sigterm_writes_the_best_so_far(calibrated, tmp_path, capsys, monkeypatch):

@@ -30,7 +30,7 @@ from softcal_jax.calibration import (
     SourceFile,
 )
 from softcal_jax.equilibrium import NewtonSettings
-from softcal_jax.export import Made
+from softcal_jax.export import Made, headline
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import independent
@@ -38,7 +38,6 @@ from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
 from softcal_jax.report import (
     _html,
     _write,
-    headline,
     write_results,
 )
 from softcal_jax.report._view import body_view

@@ -28,7 +28,7 @@ from softcal_jax.calibration import (
     ParameterInterval,
     ResidualChecks,
 )
-from softcal_jax.export import latex
+from softcal_jax.export import headline, latex
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
@@ -38,7 +38,6 @@ from softcal_jax.report import (
     PictureWarning,
     _write,
     console as drawn,
-    headline,
     sections,
     write_results,
 )

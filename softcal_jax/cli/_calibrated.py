@@ -40,7 +40,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax import report
     from softcal_jax.configurations import beyond
     from softcal_jax.control import OUTCOMES, ControlSettings, solve_inverse
-    from softcal_jax.export import Made
+    from softcal_jax.export import Made, headline
     from softcal_jax.project import inverse_as_typed
 
     cli.start_computing(show)
@@ -94,7 +94,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     if not result.met:
         interrupted = result.outcome == OUTCOMES.interrupted
         code = cli.INTERRUPTED if interrupted else cli.NOT_CONVERGED
-        raise cli.Stop(code, report.headline(result))
+        raise cli.Stop(code, headline(result))
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:

@@ -136,6 +136,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.exchange.icesl import Design, export_icesl
+    from softcal_jax.export import headline
 
     project = cli.load(args.project, show)
     with cli.bad_input():
@@ -147,7 +148,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         result = project.design(
             progress=step,
             search_progress=lambda step: show.now(str(step), log=False),
-            answer=lambda result: show.note(report.headline(result)),
+            answer=lambda result: show.note(headline(result)),
             stage=show.now,
         )
     show.lap("design", compiling=result.fit.timing_s["compile"])
@@ -165,7 +166,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         text = "interrupted: the design is that of the last step, without what follows."
         raise cli.Stop(cli.INTERRUPTED, text)
     if not result.met:
-        raise cli.Stop(cli.NOT_CONVERGED, report.headline(result))
+        raise cli.Stop(cli.NOT_CONVERGED, headline(result))
 
 
 def identify(args: argparse.Namespace, show: cli.Display) -> None:

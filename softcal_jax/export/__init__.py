@@ -11,6 +11,14 @@ from softcal_jax.export._folder import (
     file_stems as file_stems,
     results_folder as results_folder,
 )
+from softcal_jax.export._headlines import (
+    commanded as commanded,
+    failures as failures,
+    headline as headline,
+    missed as missed,
+    off as off,
+    worth as worth,
+)
 from softcal_jax.export._json import (
     RESULT_FORMAT as RESULT_FORMAT,
     Result as Result,

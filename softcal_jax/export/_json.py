@@ -19,6 +19,7 @@ from softcal_jax.calibration import (
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.equilibrium import Model
+from softcal_jax.export._headlines import headline, missed
 from softcal_jax.export._made import Made, made_dict, pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
@@ -213,7 +214,8 @@ def solver_dict(model: Model) -> dict[str, Any]:
 def _comparison(comparison: ModelComparison) -> dict[str, Any]:
     best = comparison.best
     return {
-        **pick(comparison, "verdict undecided models differences"),
+        "verdict": headline(comparison),
+        **pick(comparison, "undecided models differences"),
         "best": best and best.name,
         "level": LEVEL_OF_COMPARISON,
     }
@@ -222,7 +224,8 @@ def _comparison(comparison: ModelComparison) -> dict[str, Any]:
 def _point(result: InverseResult) -> dict[str, Any]:
     return {
         "configuration": result.configuration.name,
-        **pick(result, "met message tol"),
+        **pick(result, "met tol"),
+        "message": headline(result),
         "outcome": OUTCOMES[result.outcome],
         "goals": [_goal(fit, result.tol) for fit in result.goals],
         "actuators": [
@@ -258,7 +261,9 @@ def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
 def _design(result: DesignResult) -> dict[str, Any]:
     goal = "configuration name met error expected interval hangs_on share"
     return {
-        **pick(result, "met verdict=headline reasons values robust error expected"),
+        **pick(result, "met values robust error expected"),
+        "verdict": headline(result),
+        "reasons": missed(result),
         "foam": None if result.foam is None else result.foam.infill,
         "commands": {
             c.name: {name: imposed.value for name, imposed in c.actuation.items()}

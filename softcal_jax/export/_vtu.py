@@ -142,24 +142,21 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
     it, which ends in `_robot.vtu`.
 
     Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, or is that of another mesh.
+        ValueError: If a file cannot be read, or is that of another mesh.
     """
     path, bodies = Path(path), model.mechanism.bodies
     rest, n_b = np.asarray(model.mechanism.points), bodies.n_bodies
     robot = path.with_name(f"{path.stem}_robot.vtu")
     try:
-        u = meshio.read(path).point_data["displacement"]
+        u = meshio.vtu.read(path).point_data["displacement"]
         if n_b:
-            seen = meshio.read(robot)
+            seen = meshio.vtu.read(robot)
             at = (seen.points + seen.point_data["displacement"])[:n_b, None]
             axes = [seen.point_data[f"axis_{k}"][:n_b] for k in (1, 2, 3)]
             ends = at + bodies.length * np.stack(axes, axis=1)
             frames = np.concatenate([at, ends], axis=1).reshape(-1, 3)
             u = np.concatenate([u, frames - rest[model.mesh.n_nodes :]])
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # libraries raise any
+    except Exception as error:  # `meshio.read` would end the program
         raise ValueError(f"{path} cannot be read: {error}") from error
     if u.shape != rest.shape:
         raise ValueError(

@@ -8,7 +8,6 @@ from softcal_jax._tree import (
 )
 from softcal_jax.report._console import console as console, text as text
 from softcal_jax.report._goals import model_words as model_words
-from softcal_jax.report._headlines import headline as headline
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,

@@ -21,11 +21,11 @@ from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import LEVEL, DesignResult
 from softcal_jax.equilibrium import ActuatorState, Model
+from softcal_jax.export import commanded, headline, missed, off, worth
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.identifiability import LOST, Assessment, Identifiability
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.materials import youngs_moduli
-from softcal_jax.report._headlines import commanded, headline, missed, off, worth
 from softcal_jax.report._verdict import TONES, listed_fits, value_column, verdict
 
 

@@ -15,7 +15,7 @@ from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
 from softcal_jax._process import installed_version
 from softcal_jax._text import SoftcalWarning, check_known, listed
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import (
@@ -136,7 +136,7 @@ class LoadedResult(Module):
         batch = configurations.configuration_arrays(mesh, [posed[name]], mechanism)
         return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
 
-    def displacement(self, name: str) -> Float[HostArray, "n_points 3"] | None:
+    def displacement(self, name: str) -> Float[Array, "n_points 3"] | None:
         """Read the equilibrium that the calibration found of a configuration [m].
 
         It is near any other with the same supports and loads: a `guess` for
@@ -149,8 +149,8 @@ class LoadedResult(Module):
         if path is None or not path.is_file():
             return None
         try:
-            return read_displacement(path, self.model)
-        except (OSError, ValueError) as error:
+            return jnp.asarray(read_displacement(path, self.model))
+        except ValueError as error:
             remedy = "delete that file to start from rest, or calibrate again"
             raise ResultError(f"{error}: {remedy}.") from error
 

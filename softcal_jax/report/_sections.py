@@ -23,7 +23,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
-from softcal_jax.export import plain
+from softcal_jax.export import failures, headline, plain
 from softcal_jax.identifiability import (
     LOST,
     Assessment,
@@ -36,7 +36,6 @@ from softcal_jax.layouts import ModelComparison
 from softcal_jax.project import Project
 from softcal_jax.report import _goals
 from softcal_jax.report._goals import design_sections, inverse_sections
-from softcal_jax.report._headlines import failures, headline
 from softcal_jax.report._html import output
 from softcal_jax.report._sweep import sweep_sections
 from softcal_jax.report._verdict import (
@@ -74,12 +73,10 @@ class Transfer(Result):
         """Return all of it for JSON, in SI; None where a number is not known."""
         d = self.difference
         judged = {key: getattr(d, key) for key in ("probability", "agree")}
-        return {**plain(self), **judged, "verdict": headline(self)}
+        return {**plain(self), **judged, "verdict": self._words()}
 
-
-@headline.register
-def _(result: Transfer) -> str:
-    return headline(result.difference)
+    def _words(self) -> str:
+        return headline(self.difference)
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
@@ -362,7 +359,7 @@ def _transfer(result: Transfer) -> tuple[Section, ...]:
     rows = zip(result.poses, *errors, strict=True)
     poses = Table.of("Prediction", heads, rows)
     return (
-        verdict(headline(result), "plain", lost),
+        verdict(headline(d), "plain", lost),
         Section("values", "Values", (), (Table("Values", values), poses)),
     )
 

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -13,13 +13,13 @@ from softcal_jax._files import replacing
 from softcal_jax._tree import Chart, Column, Section, Table, Tone
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict
-from softcal_jax.report._headlines import headline, trouble
 from softcal_jax.report._html import REPEATED, closing, node, page
 from softcal_jax.report._verdict import verdict
 from softcal_jax.sweeps import (
     FIT,
     HELD_OUT,
     OUT_OF_RANGE,
+    State,
     Sweep,
     SweepResult,
     TrialRow,
@@ -87,7 +87,7 @@ def sweep_sections(
     best, sentence = _best_trials(result)
     varied = [_varied_table(result)]
     return (
-        verdict(headline(result), tone, _doubts(result)),
+        verdict(_headline(result), tone, _doubts(result)),
         Section("notes", "Notes", _notes(result), tone="doubtful"),
         Section("means", "Means over repetitions", said, tables),
         Section("best", "Best trials", sentence, best),
@@ -171,10 +171,34 @@ def _doubts(result: SweepResult) -> Iterator[str]:
             f"{bad} {what} failed or did not converge, and count in no mean, chart or "
             "best value."
         )
-    yield from (f"{state.capitalize()}, {text}" for state, text in trouble(result))
+    yield from (f"{state.capitalize()}, {text}" for state, text in _trouble(result))
     if left := len(result.missing):
         what = "trial is" if left == 1 else "trials are"
         yield f"{left} {what} left to do: the same command resumes from here."
+
+
+def _headline(result: SweepResult) -> str:
+    """Say how many trials have ended, and how."""
+    n, total = len(result.states), len({*result.states, *result.planned})
+    counts = Counter(result.states.values())
+    how = (f"{counts[s]} {s}" for s in get_args(State) if counts[s])
+    ended = f": {', '.join(how)}" if n else ""
+    return f"{n} of {total} trials have ended{ended}."
+
+
+def _trouble(result: SweepResult) -> tuple[tuple[State, str], ...]:
+    """Say why trials failed or did not converge, each reason once, after the state."""
+    rows: dict[tuple[State, str], list[TrialRow]] = {}
+    for row in result.rows:
+        if row.state != "converged":
+            first, *more = row.reason.strip().splitlines() or [""]
+            reason = first + (" ..." if more else "")
+            rows.setdefault((row.state, reason), []).append(row)
+    many = lambda n: "1 trial" if n == 1 else f"{n} trials, the first"
+    return tuple(
+        (state, f"{many(len(alike))} at {describe(alike[0].point)}: {reason}")
+        for (state, reason), alike in rows.items()
+    )
 
 
 def _notes(result: SweepResult) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from softcal_jax.calibration import (
     ParameterEstimate,
 )
 from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
+from softcal_jax.export import headline
 from softcal_jax.identifiability import Assessment
-from softcal_jax.report._headlines import headline
 
 _SCOPE = (
     "The values hold for these loads and this shape. To test whether they are material "

@@ -5,9 +5,15 @@ import numpy as np
 import pytest
 import pyvista
 from export.handmade import sag, small_model, two_elasticities
+from obstacle_results import beside_obstacles, pressed
 
 from softcal_jax.equilibrium import build_model, energy_and_force
-from softcal_jax.export import write_pvd, write_vtu
+from softcal_jax.export import (
+    read_displacement,
+    write_pvd,
+    write_robot_vtu,
+    write_vtu,
+)
 from softcal_jax.materials import (
     Corotational,
     Fibre,
@@ -228,3 +234,33 @@ def test_wrong_calls(tmp_path):
     with pytest.raises(ValueError, match=r"shape \(24, 3\), .*got \(5, 3\)"):
         write_vtu(tmp_path / "a.vtu", model, jnp.zeros((5, 3)))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_state_is_read_back(model, tmp_path):
+    """To the last bit, to begin a solve there."""
+    write_vtu(tmp_path / "a.vtu", model, sag(model.mesh))
+    np.testing.assert_array_equal(
+        read_displacement(tmp_path / "a.vtu", model), sag(model.mesh)
+    )
+
+
+def test_rigid_bodies_are_read_back(tmp_path):
+    model = beside_obstacles()
+    fit = pressed(model)
+    write_vtu(tmp_path / "a.vtu", model, fit.displacement)
+    write_robot_vtu(tmp_path / "a_robot.vtu", model, fit.robot)
+    read = read_displacement(tmp_path / "a.vtu", model)
+    np.testing.assert_allclose(read, fit.robot.displacement, atol=1e-15)
+
+
+def test_the_state_of_another_mesh_is_refused(model, tmp_path):
+    write_vtu(tmp_path / "a.vtu", model, sag(model.mesh))
+    other = beside_obstacles()
+    with pytest.raises(ValueError, match=r"a\.vtu cannot be read"):  # no a_robot.vtu
+        read_displacement(tmp_path / "a.vtu", other)
+    write_robot_vtu(tmp_path / "a_robot.vtu", other, pressed(other).robot)
+    with pytest.raises(ValueError, match=r"a\.vtu has .* points, the model has"):
+        read_displacement(tmp_path / "a.vtu", other)
+    (tmp_path / "a.vtu").write_text("no xml")
+    with pytest.raises(ValueError, match=r"a\.vtu cannot be read"):
+        read_displacement(tmp_path / "a.vtu", model)

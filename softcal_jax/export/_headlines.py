@@ -1,8 +1,6 @@
 """The sentence that each result begins with, and sentences on what it misses."""
 
-from collections import Counter
 from functools import singledispatch
-from typing import get_args
 
 import numpy as np
 
@@ -24,7 +22,6 @@ from softcal_jax.identifiability import (
 )
 from softcal_jax.inference import Difference
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.sweeps import State, SweepResult, TrialRow, describe
 
 LISTED = 4  # missed goals that a message lists
 
@@ -171,30 +168,6 @@ def _(result: Difference) -> str:
         f"They do not agree ({chi2}): the values of at least one robot hold only "
         "for its loads and shape. From A to B they differ most in "
         f"{listed(changes)} ({result.worst_size:.1f} standard errors)."
-    )
-
-
-@headline.register
-def _(result: SweepResult) -> str:
-    n, total = len(result.states), len({*result.states, *result.planned})
-    counts = Counter(result.states.values())
-    how = (f"{counts[s]} {s}" for s in get_args(State) if counts[s])
-    ended = f": {', '.join(how)}" if n else ""
-    return f"{n} of {total} trials have ended{ended}."
-
-
-def trouble(result: SweepResult) -> tuple[tuple[State, str], ...]:
-    """Say why trials failed or did not converge, each reason once, after the state."""
-    rows: dict[tuple[State, str], list[TrialRow]] = {}
-    for row in result.rows:
-        if row.state != "converged":
-            first, *more = row.reason.strip().splitlines() or [""]
-            reason = first + (" ..." if more else "")
-            rows.setdefault((row.state, reason), []).append(row)
-    many = lambda n: "1 trial" if n == 1 else f"{n} trials, the first"
-    return tuple(
-        (state, f"{many(len(alike))} at {describe(alike[0].point)}: {reason}")
-        for (state, reason), alike in rows.items()
     )
 
 
