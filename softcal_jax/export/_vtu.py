@@ -148,7 +148,8 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
     rest, n_b = np.asarray(model.mechanism.points), bodies.n_bodies
     robot = path.with_name(f"{path.stem}_robot.vtu")
     try:
-        u = meshio.vtu.read(path).point_data["displacement"]
+        body = meshio.vtu.read(path)
+        u = body.point_data["displacement"]
         if n_b:
             seen = meshio.vtu.read(robot)
             at = (seen.points + seen.point_data["displacement"])[:n_b, None]
@@ -158,10 +159,8 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
             u = np.concatenate([u, frames - rest[model.mesh.n_nodes :]])
     except Exception as error:  # `meshio.read` would end the program
         raise ValueError(f"{path} cannot be read: {error}") from error
-    if u.shape != rest.shape:
-        raise ValueError(
-            f"{path} has the displacement of {len(u)} points, the model has {len(rest)}"
-        )
+    if u.shape != rest.shape or not np.array_equal(body.points, model.mesh.points):
+        raise ValueError(f"{path} is of another mesh than the model")
     return u
 
 

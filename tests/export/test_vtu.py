@@ -259,7 +259,7 @@ def test_the_state_of_another_mesh_is_refused(model, tmp_path):
     with pytest.raises(ValueError, match=r"a\.vtu cannot be read"):  # no a_robot.vtu
         read_displacement(tmp_path / "a.vtu", other)
     write_robot_vtu(tmp_path / "a_robot.vtu", other, pressed(other).robot)
-    with pytest.raises(ValueError, match=r"a\.vtu has .* points, the model has"):
+    with pytest.raises(ValueError, match=r"a\.vtu is of another mesh"):
         read_displacement(tmp_path / "a.vtu", other)
     (tmp_path / "a.vtu").write_text("no xml")
     with pytest.raises(ValueError, match=r"a\.vtu cannot be read"):
