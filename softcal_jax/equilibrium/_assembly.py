@@ -184,7 +184,7 @@ def newton_terms(
     u: Nodal,
     force: Nodal,
     strains: Strains,
-    exact: Bool[Array, ""],
+    exact: bool | Bool[Array, ""],
 ) -> tuple[Float[Array, " nnz"], Nodal]:
     """Compute tangent [N/m] and force [N] of a Newton step, see `newton_system`.
 
@@ -196,6 +196,8 @@ def newton_terms(
         entries, forces = _map_blocks(model, u, _newton_terms, strains, **options)
         return _add_entries(model, entries), _add_forces(model, forces)
 
+    if exact is True:  # without a program for the other way
+        return tangent_values(model, u), force
     return jax.lax.cond(exact, lambda: (tangent_values(model, u), force), turned)
 
 

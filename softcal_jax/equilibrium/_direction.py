@@ -76,7 +76,7 @@ def newton_direction(
     lambda_a: Float[Array, " n_a"],
     *,
     strains: Strains,
-    exact: Bool[Array, ""],
+    exact: bool | Bool[Array, ""],
     placed: bool = False,
     near: Bool[Array, ""] | None = None,
     tamed: bool | Bool[Array, ""] = False,

@@ -11,6 +11,7 @@ from problems import lane_of
 from benchmarks._parallel_robot import parallel_robot, pose
 from benchmarks._printed_robot import PrintingErrors, printed_robot, read_poses_of
 from softcal_jax.configurations import configuration_arrays
+from softcal_jax.control import sample_workspace
 from softcal_jax.equilibrium import effector_values, solve_equilibrium
 
 
@@ -115,3 +116,12 @@ def test_poses_are_found_from_rest_at_once(working_point):
         solution = solve_equilibrium(model, lane_of(arrays, i))
         assert bool(solution.converged), c.name
         assert int(solution.steps) <= 30, c.name
+
+
+def test_poses_of_the_workspace_are_found_from_rest():
+    """Each has an equilibrium, also those on whose way the robot buckles twice."""
+    angles = 30.0 + 30.0 * np.random.default_rng(2).random((100, 6))
+    asked, several = robot().configurations[0], np.deg2rad(angles[60::2])
+    workspace = sample_workspace(robot().model, asked, several)
+    assert not workspace.failures
+    assert np.asarray(workspace.solution.steps).max() <= 60
