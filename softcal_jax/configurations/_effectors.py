@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import key
@@ -56,11 +55,6 @@ def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array,
     body, other, axis = of
     R = state.body_rotations
     return angle_about(R[body], R[other], np.array(axis))
-
-
-def _distance(model, state, of: tuple[int, int]) -> Float[Array, ""]:
-    origins = model.positions(state.displacement)[model.mesh.n_nodes :: 4]
-    return jnp.linalg.norm(origins[of[0]] - origins[of[1]])
 
 
 def _of_actuator(model, state, of: tuple[str, int]) -> Float[Array, ""]:
@@ -256,31 +250,6 @@ class BodyAngle(AbstractScalar):
         return self._row("scalar", "rad", function=reading)
 
 
-class BodyDistance(AbstractScalar):
-    """Distance between the origins of two rigid bodies.
-
-    Attributes:
-        body: One of them.
-        other: The other one.
-        measured: Measured distance [m].
-        std: Its standard deviation [m].
-    """
-
-    name: str
-    body: str = eqx.field(metadata=_BODY)
-    other: str = eqx.field(metadata=key(words="the other rigid body"))
-    measured: float | None = None
-    std: float = Unstated(1e-3)
-
-    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        names = mechanism.bodies.names
-        both = (
-            _index_of(self.body, names, "rigid body", self.name),
-            _index_of(self.other, names, "rigid body", self.name),
-        )
-        return self._row("scalar", "m", function=_Reading(_distance, both))
-
-
 class ActuatorDisplacement(AbstractScalar):
     """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
 
@@ -383,7 +352,6 @@ EFFECTORS: dict[str, type[AbstractEffector]] = {
     "contact-force": ContactForce,
     "contact-moment": ContactMoment,
     "angle": BodyAngle,
-    "distance": BodyDistance,
     "actuator-displacement": ActuatorDisplacement,
     "actuator-force": ActuatorForce,
 }
