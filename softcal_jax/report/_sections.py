@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
     MultiStartResult,
     SimulationResult,
 )
-from softcal_jax.control import InverseResult, TrajectoryResult, Workspace
+from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.export import failures, headline, plain
 from softcal_jax.identifiability import (
@@ -430,17 +430,6 @@ def notebook_html(result: object) -> str:
     return output(sections(result))
 
 
-def _workspace(result: Workspace) -> tuple[Section, ...]:
-    n, good = len(result.converged), int(result.converged.sum())
-    rows = [(k, *values) for k, values in enumerate(result.inputs, start=1)]
-    table = Table.of("Inputs", " | ".join(["sample", *result.names]), rows)
-    said = f"{good} of {n} actuations have an equilibrium."
-    return (
-        verdict(said, "good" if good == n else "doubtful", result.failures),
-        Section("inputs", "Inputs", (), (table,)),
-    )
-
-
 _SECTIONS: dict[type, Callable[[Any], tuple[Section, ...]]] = {
     CalibrationResult: lambda result: calibration_sections(result, assess(result)),
     MultiStartResult: _search,
@@ -453,6 +442,5 @@ _SECTIONS: dict[type, Callable[[Any], tuple[Section, ...]]] = {
     Ranking: lambda ranking: outlook_sections(None, ranking),
     ModelComparison: _comparison,
     Transfer: _transfer,
-    Workspace: _workspace,
     SweepResult: sweep_sections,
 }
