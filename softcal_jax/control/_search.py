@@ -60,6 +60,13 @@ EQUAL = 1e-3
 Of such ends the one found first counts; the descent from the start is the first.
 """
 
+AGREEING, AS_FAR = 4, 0.25
+"""Descents in a row that end as far from the goals as the best, and the share by which
+their distances may differ: then the goals are far away, and other starts do not help.
+
+Where goals can be reached, ends that miss them differ by factors.
+"""
+
 NOWHERE = np.full(2, np.inf)  # the parts of a step that leads to no equilibrium
 
 
@@ -267,9 +274,10 @@ def search(
     """Descend from the start; unless the goals are met, explore all other ways, too.
 
     The other ways are other starts, then a continuation of the goals from where the
-    effectors are at the start. The first descent that meets the goals ends the search.
-    If none does, the best descent and the one from the start itself are taken to their
-    ends. Returns the better one, with all attempts; if interrupted, the best so far.
+    effectors are at the start. The first descent that meets the goals ends the search,
+    and so do `AGREEING` ends. If none does, the best descent and the one from the start
+    itself are taken to their ends. Returns the better one, with all attempts; if
+    interrupted, the best so far.
     """
     at_start = approached(command, guess)
     first = begin(command, differentiated(command, at_start))
@@ -281,15 +289,14 @@ def search(
             tried[way] = descent
             if descent.met or _better(command, descent, tried[best]):
                 best = way
-            if descent.met:
+            if descent.met or _agree(command, [*tried.values()]):
                 break
-        else:
-            # A scan saw what else there is; elsewhere the start may still come closer.
-            ends = (best,) if _is_single(command) else ("the start", best)
-            for way in dict.fromkeys(ends):
-                tried[way] = descend(command, tried[way])
-            if not _better(command, tried[best], tried["the start"]):
-                best = "the start"
+        # A scan saw what else there is; elsewhere the start may still come closer.
+        ends = (best,) if _is_single(command) else ("the start", best)
+        for way in () if tried[best].met else dict.fromkeys(ends):
+            tried[way] = descend(command, tried[way])
+        if not _better(command, tried[best], tried["the start"]):
+            best = "the start"
     except KeyboardInterrupt as stop:
         for descent in stop.args:  # the one that was under way, if any
             tried["the last, interrupted"] = descent
@@ -303,6 +310,15 @@ def search(
         Attempt(way, end.outcome, float(error(end)), len(end.records))
         for way, end in tried.items()
     )
+
+
+def _agree(command: Command, tried: Sequence[Descent]) -> bool:
+    """Tell whether the last ends are as far from the goals as the best, in limits."""
+    if len(tried) < AGREEING or any(end.linear is None for end in tried):
+        return False
+    off = [np.linalg.norm(command.residuals(d.arrival.compliance.state)) for d in tried]
+    kept = [violation(d.linear.b) <= ROUNDING for d in tried if d.linear is not None]
+    return all(kept) and bool(max(off[-AGREEING:]) <= (1.0 + AS_FAR) * min(off))
 
 
 def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
