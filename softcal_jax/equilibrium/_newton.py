@@ -255,7 +255,7 @@ class NewtonLoop:
             strains, sound = jax.lax.cond(
                 strict | exact_next,
                 lambda: (strains, sound),
-                lambda: predict(self.model, u, du, s.strains, exact),
+                lambda: predict(self.model, u, du, s.strains, s.exact),
             )
         good = good & sound
         moved = s._replace(

@@ -149,11 +149,12 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
     robot = path.with_name(f"{path.stem}_robot.vtu")
     try:
         body = meshio.vtu.read(path)
-        u = body.point_data["displacement"]
+        u = np.asarray(body.point_data["displacement"])
         if n_b:
             seen = meshio.vtu.read(robot)
-            at = (seen.points + seen.point_data["displacement"])[:n_b, None]
-            axes = [seen.point_data[f"axis_{k}"][:n_b] for k in (1, 2, 3)]
+            moved = np.asarray(seen.point_data["displacement"])
+            at = (seen.points + moved)[:n_b, None]
+            axes = [np.asarray(seen.point_data[f"axis_{k}"])[:n_b] for k in (1, 2, 3)]
             ends = at + bodies.length * np.stack(axes, axis=1)
             frames = np.concatenate([at, ends], axis=1).reshape(-1, 3)
             u = np.concatenate([u, frames - rest[model.mesh.n_nodes :]])
