@@ -2,7 +2,7 @@
 
 import pytest
 
-from softcal_jax._files import MEGABYTES, TRIALS, LimitError
+from softcal_jax._places import MEGABYTES, TRIALS, LimitError
 
 
 def test_a_limit_names_the_number_and_the_remedy():

@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from softcal_jax import _files
-from softcal_jax._files import only_writer
+from softcal_jax import _places
+from softcal_jax._places import only_writer
 
 # By path, since the rest of the package takes seconds to import.
 IN_ANOTHER_PROCESS = f"""\
 import runpy, sys, time
 from pathlib import Path
-only_writer = runpy.run_path({_files.__file__!r})["only_writer"]
+only_writer = runpy.run_path({_places.__file__!r})["only_writer"]
 path = Path(sys.argv[1])
 """
 

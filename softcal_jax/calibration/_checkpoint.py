@@ -16,8 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._files import cause, digest_of, only_writer, replacing
+from softcal_jax._files import digest_of
 from softcal_jax._module import Module
+from softcal_jax._places import cause, only_writer, replacing
 from softcal_jax._text import listed
 from softcal_jax._typing import HostArray
 from softcal_jax._units import readable

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import shtab
 
-from softcal_jax._files import cause, check_place
+from softcal_jax._places import cause, check_place
 from softcal_jax._text import SoftcalWarning, escaped, listed, with_short_names
 from softcal_jax.cli._display import Display
 

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._apart import run_apart
-from softcal_jax._files import MESHING_MEGABYTES, MESHING_SECONDS, check_file
+from softcal_jax._files import check_file
+from softcal_jax._places import MESHING_MEGABYTES, MESHING_SECONDS
 from softcal_jax._text import check_known, escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax import materials
-from softcal_jax._files import replacing
+from softcal_jax._places import replacing
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from softcal_jax._files import locked, sha256_of, with_remedy
+from softcal_jax._files import sha256_of
+from softcal_jax._places import locked, with_remedy
 from softcal_jax._text import listed
 
 STAMP = ".softcal-files"

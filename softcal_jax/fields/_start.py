@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._files import TRIALS
+from softcal_jax._places import TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.fields._kinds import KINDS, Uncertain

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softcal_jax._files import TETS
+from softcal_jax._places import TETS
 from softcal_jax._text import check_known
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import shape_functions

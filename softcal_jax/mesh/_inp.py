@@ -10,7 +10,8 @@ from typing import Any
 import meshio
 import numpy as np
 
-from softcal_jax._files import MEGABYTES, check_file
+from softcal_jax._files import check_file
+from softcal_jax._places import MEGABYTES
 from softcal_jax.mesh._topology import LOCAL_FACES
 
 _KINDS = {

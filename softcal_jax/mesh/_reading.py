@@ -16,13 +16,8 @@ import meshio
 import numpy as np
 
 from softcal_jax._apart import run_apart
-from softcal_jax._files import (
-    MESHING_MEGABYTES,
-    MESHING_SECONDS,
-    TETS,
-    LimitError,
-    check_file,
-)
+from softcal_jax._files import check_file
+from softcal_jax._places import MESHING_MEGABYTES, MESHING_SECONDS, TETS, LimitError
 from softcal_jax._text import SoftcalWarning, check_known, escaped, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES

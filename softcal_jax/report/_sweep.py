@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from softcal_jax._files import replacing
+from softcal_jax._places import replacing
 from softcal_jax._tree import Chart, Column, Section, Table, Tone
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from softcal_jax import export
-from softcal_jax._files import with_remedy
+from softcal_jax._places import with_remedy
 from softcal_jax._text import SoftcalWarning
 from softcal_jax._tree import Section
 from softcal_jax.calibration import (

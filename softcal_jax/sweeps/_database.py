@@ -22,7 +22,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from softcal_jax._files import check_file, only_writer
+from softcal_jax._files import check_file
+from softcal_jax._places import only_writer
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import OUT_OF_RANGE, TrialRow
 from softcal_jax.sweeps._trial import Trial

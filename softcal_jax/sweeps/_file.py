@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from softcal_jax._files import PLANNED, TRIALS, similar_file
+from softcal_jax._files import similar_file
+from softcal_jax._places import PLANNED, TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._units import is_number
 from softcal_jax.calibration import SourceFile

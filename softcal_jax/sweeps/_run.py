@@ -8,7 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax._files import digest_of, only_writer
+from softcal_jax._files import digest_of
+from softcal_jax._places import only_writer
 from softcal_jax._text import check_known
 from softcal_jax._units import is_number
 from softcal_jax.equilibrium import usable_cores

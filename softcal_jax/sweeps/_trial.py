@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from softcal_jax._files import PLANNED, TRIALS
+from softcal_jax._places import PLANNED, TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._typing import HostArray
 

@@ -16,15 +16,14 @@ import numpy as np
 
 from softcal_jax import mesh as meshes
 from softcal_jax._apart import run_apart
-from softcal_jax._files import (
+from softcal_jax._files import check_file, digest_of
+from softcal_jax._places import (
     MESHING_MEGABYTES,
     MESHING_SECONDS,
     TETS,
     Limit,
     LimitError,
     cause,
-    check_file,
-    digest_of,
     replacing,
 )
 from softcal_jax._text import escaped

@@ -17,7 +17,7 @@ from exchange.cad.cad_models import (
 )
 from wording import says
 
-from softcal_jax._files import LimitError
+from softcal_jax._places import LimitError
 from softcal_jax.actuators import Chamber, actuator_arrays
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.exchange.cad import _mesh, mesh_cad
