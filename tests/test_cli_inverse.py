@@ -120,11 +120,26 @@ def test_a_calibrated_pose_is_a_start(calibrated, tmp_path):
     assert solved.converged
     assert int(solved.steps) <= 1 < int(solve_equilibrium(loaded.model, lane).steps)
     np.testing.assert_allclose(solved.displacement, guess, atol=1e-9)
-    loaded.bodies["weight"].rename(tmp_path / "weight.vtu")
+    loaded.states["weight"].rename(tmp_path / "weight.vtu")
     try:
         assert loaded.displacement("weight") is None
     finally:
-        (tmp_path / "weight.vtu").rename(loaded.bodies["weight"])
+        (tmp_path / "weight.vtu").rename(loaded.states["weight"])
+
+
+def test_a_damaged_state_is_named(calibrated, tmp_path, capsys):
+    """So the command reads it."""
+    state = load_result(calibrated / "out").states["weight"]
+    content = state.read_bytes()
+    state.write_text("no xml")
+    try:
+        assert (
+            run(calibrated, tmp_path / "out", *WEIGHT, "--goal", "tip=(-, -, 8) mm")
+            == 2
+        )
+    finally:
+        state.write_bytes(content)
+    assert says(capsys.readouterr().err, "weight.vtu cannot be read", "calibrate again")
 
 
 def test_sigterm_writes_the_best_so_far(calibrated, tmp_path, capsys, monkeypatch):

@@ -174,8 +174,8 @@ class NewtonLoop:
     def driven(self) -> bool:
         """Whether motors drive the robot: then steps always take the strains of u.
 
-        The parallel robot stands at its working point, but buckles on the way there:
-        predicted strains lead 6 of 30 of its poses, from rest, to no equilibrium.
+        The parallel robot stands at its working point, but buckles on the way there,
+        and predicted strains lead some of its poses to no equilibrium.
         """
         return any(body >= 0 for body in self.model.mechanism.actuators.motor_body)
 

@@ -12,12 +12,9 @@ from softcal_jax.export._folder import (
     results_folder as results_folder,
 )
 from softcal_jax.export._headlines import (
-    commanded as commanded,
-    failures as failures,
     headline as headline,
-    missed as missed,
-    off as off,
-    worth as worth,
+    missed_words as missed_words,
+    off_words as off_words,
 )
 from softcal_jax.export._json import (
     RESULT_FORMAT as RESULT_FORMAT,

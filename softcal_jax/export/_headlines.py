@@ -14,7 +14,7 @@ from softcal_jax.control import (
     TrajectoryResult,
     coordinate_names,
 )
-from softcal_jax.designs import Alternative, DesignResult
+from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import (
     Assessment,
     Identifiability,
@@ -23,7 +23,7 @@ from softcal_jax.identifiability import (
 from softcal_jax.inference import Difference
 from softcal_jax.layouts import ModelComparison
 
-LISTED = 4  # missed goals that a message lists
+_LISTED = 4  # missed goals that a message lists
 
 _OUTCOMES: dict[str, str] = {
     "trust": "Trust these values: the fit converged, and every check passed.",
@@ -44,6 +44,23 @@ def headline(result: object) -> str:
         TypeError: If it is no result of this package.
     """
     raise TypeError(f"a {type(result).__name__} is no result that has a headline.")
+
+
+@headline.register
+def _(result: MultiStartResult) -> str:
+    n, lost = len(result.cost), np.isinf(result.cost)
+    unfinished = ~result.converged & ~lost
+    text = f"{n} starts, {result.converged.sum()} converged, {len(result.optima)} "
+    text += "distinct optima."
+    if result.missed < 1.0:
+        share = f"{100.0 * result.missed:.0f} %"
+        text += f" Of further starts, {share} are expected to end at others."
+    if unfinished.any():
+        lowest = result.cost[unfinished].min()
+        text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
+    if lost.any():
+        text += f" {lost.sum()} without equilibrium at the start."
+    return text
 
 
 @headline.register
@@ -74,10 +91,10 @@ def _(result: DesignResult) -> str:
 def _(result: InverseResult) -> str:
     text = f"configuration {result.configuration.name!r}: {OUTCOMES[result.outcome]}"
     unmet = result.unmet
-    for fit in unmet[:LISTED]:
-        text += f"; {fit.name!r} is off by {off(fit)}"
-    if len(unmet) > LISTED:
-        text += f"; {len(unmet) - LISTED} more are off by less"
+    for fit in unmet[:_LISTED]:
+        text += f"; {fit.name!r} is off by {off_words(fit)}"
+    if len(unmet) > _LISTED:
+        text += f"; {len(unmet) - _LISTED} more are off by less"
     if unmet and result.held_by:
         text += f"; held by {', '.join(result.held_by)}"
     if unmet and result.blind is not None:
@@ -171,11 +188,11 @@ def _(result: Difference) -> str:
     )
 
 
-def missed(result: DesignResult) -> tuple[str, ...]:
+def missed_words(result: DesignResult) -> tuple[str, ...]:
     """Say what goals are off by, and what holds them there, one sentence each."""
-    reasons = [f"{g.label} is off by {off(g)}." for g in result.unmet[:LISTED]]
-    if len(result.unmet) > LISTED:
-        reasons.append(f"{len(result.unmet) - LISTED} more are off by less.")
+    reasons = [f"{g.label} is off by {off_words(g)}." for g in result.unmet[:_LISTED]]
+    if len(result.unmet) > _LISTED:
+        reasons.append(f"{len(result.unmet) - _LISTED} more are off by less.")
     if result.lost:
         reasons.append(f"This is the one of least error as ordered: {result.lost}")
     if result.robust and result.unmet:
@@ -186,22 +203,7 @@ def missed(result: DesignResult) -> tuple[str, ...]:
     return (*reasons, *(f"{trade}." for trade in result.trades))
 
 
-def worth(result: DesignResult) -> tuple[str, ...]:
-    """Say what the design is worth, one sentence for each alternative."""
-
-    def sentence(a: Alternative) -> str:
-        text, error = f"{a.error:.3g} tolerances off", f"{result.error:.3g}"
-        if np.isfinite(a.expected):
-            text += f", {a.expected:.3g} as printed"
-            error += f" and {result.expected:.3g}"
-        if not a.result.converged:
-            text += " or less (its search did not converge)"
-        return f"With {a.name} the goals are {text}, with this design {error}."
-
-    return tuple(map(sentence, result.alternatives))
-
-
-def off(fit: GoalFit) -> str:
+def off_words(fit: GoalFit) -> str:
     """Say how far it is off in each direction, in words: x 0.12 mm, turn x 0.3 deg."""
     values = zip(coordinate_names(fit.effector), fit.residual, strict=True)
     unit, seen = fit.effector.unit, fit.effector.seen
@@ -214,46 +216,3 @@ def off(fit: GoalFit) -> str:
     distance = fit.effector.distance(fit.reached)
     far = len(parts) > 1 and bool(np.isfinite(distance))
     return ", ".join(parts) + f" ({show(distance)} in all)" * far
-
-
-def commanded(result: InverseResult) -> str:
-    """Say what is imposed on the commanded actuators, in words."""
-    imposed = lambda a: (getattr(a, a.imposed), getattr(a, f"{a.imposed}_unit"))
-    return ", ".join(
-        f"{a.name} = {readable_values([value], unit or '')}"
-        for a in result.actuators
-        if a.name in result.configuration.actuation
-        for value, unit in [imposed(a)]
-    )
-
-
-def failures(result: ModelComparison) -> list[str]:
-    """Say which fits failed and why, one sentence each."""
-    lines = []
-    for model in result.models:
-        lines += [
-            f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
-            for fold in model.failed
-        ]
-        if model.fit_failure:
-            lines.append(
-                f"{model.name!r}, all configurations fitted: {model.fit_failure}."
-            )
-    return lines
-
-
-@headline.register
-def _(result: MultiStartResult) -> str:
-    n, lost = len(result.cost), np.isinf(result.cost)
-    unfinished = ~result.converged & ~lost
-    text = f"{n} starts, {result.converged.sum()} converged, {len(result.optima)} "
-    text += "distinct optima."
-    if result.missed < 1.0:
-        share = f"{100.0 * result.missed:.0f} %"
-        text += f" Of further starts, {share} are expected to end at others."
-    if unfinished.any():
-        lowest = result.cost[unfinished].min()
-        text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
-    if lost.any():
-        text += f" {lost.sum()} without equilibrium at the start."
-    return text

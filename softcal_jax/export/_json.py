@@ -19,7 +19,7 @@ from softcal_jax.calibration import (
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.export._headlines import headline, missed
+from softcal_jax.export._headlines import headline, missed_words
 from softcal_jax.export._made import Made, made_dict, pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
@@ -263,7 +263,7 @@ def _design(result: DesignResult) -> dict[str, Any]:
     return {
         **pick(result, "met values robust error expected"),
         "verdict": headline(result),
-        "reasons": missed(result),
+        "reasons": missed_words(result),
         "foam": None if result.foam is None else result.foam.infill,
         "commands": {
             c.name: {name: imposed.value for name, imposed in c.actuation.items()}

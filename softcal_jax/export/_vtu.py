@@ -158,7 +158,7 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
             ends = at + bodies.length * np.stack(axes, axis=1)
             frames = np.concatenate([at, ends], axis=1).reshape(-1, 3)
             u = np.concatenate([u, frames - rest[model.mesh.n_nodes :]])
-    except Exception as error:  # `meshio.read` would end the program
+    except Exception as error:  # libraries raise any; `meshio.read` even exits
         raise ValueError(f"{path} cannot be read: {error}") from error
     if u.shape != rest.shape or not np.array_equal(body.points, model.mesh.points):
         raise ValueError(f"{path} is of another mesh than the model")

@@ -19,9 +19,9 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.designs import LEVEL, DesignResult
+from softcal_jax.designs import LEVEL, Alternative, DesignResult
 from softcal_jax.equilibrium import ActuatorState, Model
-from softcal_jax.export import commanded, headline, missed, off, worth
+from softcal_jax.export import headline, missed_words, off_words
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.identifiability import LOST, Assessment, Identifiability
 from softcal_jax.inference import ErrorBudget
@@ -31,7 +31,7 @@ from softcal_jax.report._verdict import TONES, listed_fits, value_column, verdic
 
 def design_sections(result: DesignResult) -> tuple[Section, ...]:
     """Write fields as ordered, goals, commands, limits, and what less could do."""
-    reasons = *missed(result), *worth(result)
+    reasons = *missed_words(result), *_sentences_on_worth(result)
     goals = _designed(result), _commands(result), _limits(result)
     return (
         verdict(headline(result), "good" if result.met else "doubtful", reasons),
@@ -124,6 +124,21 @@ def _limits(result: DesignResult) -> Table:
     return Table.of("Limits", heads, rows, units=units, about={"": {"tones": tones}})
 
 
+def _sentences_on_worth(result: DesignResult) -> tuple[str, ...]:
+    """Say what the design is worth, one sentence for each alternative."""
+
+    def sentence(a: Alternative) -> str:
+        text, error = f"{a.error:.3g} tolerances off", f"{result.error:.3g}"
+        if np.isfinite(a.expected):
+            text += f", {a.expected:.3g} as printed"
+            error += f" and {result.expected:.3g}"
+        if not a.result.converged:
+            text += " or less (its search did not converge)"
+        return f"With {a.name} the goals are {text}, with this design {error}."
+
+    return tuple(map(sentence, result.alternatives))
+
+
 def _worth(result: DesignResult) -> Table:
     rows: list[tuple[str, float, float | None]]
     rows = [("this design", result.error, result.expected)]
@@ -138,7 +153,7 @@ def inverse_sections(result: InverseResult | TrajectoryResult) -> tuple[Section,
     """Write how closely goals are met, and what the actuators do for it."""
     if isinstance(result, TrajectoryResult):
         return _trajectory(result)
-    inputs = (f"Commanded: {commanded(result)}.",)
+    inputs = (f"Commanded: {_commanded(result)}.",)
     reached = ("Active limits:", *result.active_limits) if result.active_limits else ()
     tried = [(a.way, a.n_steps, a.error) for a in result.attempts]
     heads = "started from | steps | largest error, in standard deviations [ratio]"
@@ -151,10 +166,21 @@ def inverse_sections(result: InverseResult | TrajectoryResult) -> tuple[Section,
     )
 
 
+def _commanded(result: InverseResult) -> str:
+    """Say what is imposed on the commanded actuators, in words."""
+    imposed = lambda a: (getattr(a, a.imposed), getattr(a, f"{a.imposed}_unit"))
+    return ", ".join(
+        f"{a.name} = {readable_values([value], unit or '')}"
+        for a in result.actuators
+        if a.name in result.configuration.actuation
+        for value, unit in [imposed(a)]
+    )
+
+
 def _trajectory(result: TrajectoryResult) -> tuple[Section, ...]:
     points = result.points
     far = [headline(points[i]) for i in result.unmet]
-    rows = [(i, commanded(p), headline(p)) for i, p in enumerate(points, 1)]
+    rows = [(i, _commanded(p), headline(p)) for i, p in enumerate(points, 1)]
     tones: list[Tone] = ["good" if point.met else "bad" for point in points]
     table = Table.of(
         "Commands", "goal | inputs | outcome", rows, about={"outcome": {"tones": tones}}
@@ -172,7 +198,7 @@ def goal_table(goals: Sequence[GoalFit]) -> Table:
         both = [fit.effector.measured, fit.reached]
         worst = float(np.max(np.abs(fit.in_std), initial=0.0))
         pair = (_coordinates(fit, values, both) for values in both)
-        rows.append((_name(fit), *pair, off(fit), worst))
+        rows.append((_name(fit), *pair, off_words(fit), worst))
     heads = "effector | goal | reached | off by | standard deviations [step]"
     return Table.of("Goals", heads, rows)
 

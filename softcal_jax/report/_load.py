@@ -85,7 +85,7 @@ class LoadedResult(Module):
         estimate: What the calibration says of them, to compare with another's.
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
-        bodies: The .vtu of each configuration that had an equilibrium.
+        states: The .vtu of each configuration that had an equilibrium.
         converged: Whether the calibration converged; if not, do not use the values.
         outcome: What may be done with the values, see `Assessment`.
         doubts: Why it is no more than that.
@@ -99,7 +99,7 @@ class LoadedResult(Module):
     z: Float[Array, " n_p"]
     estimate: Estimate
     errors: dict[str, float]
-    bodies: dict[str, Path]
+    states: dict[str, Path]
     converged: bool
     outcome: str
     doubts: tuple[str, ...]
@@ -145,7 +145,7 @@ class LoadedResult(Module):
         Raises:
             ResultError: If its file is damaged.
         """
-        path = self.bodies.get(name)
+        path = self.states.get(name)
         if path is None or not path.is_file():
             return None
         try:
@@ -199,7 +199,7 @@ def load_result(
     said = data["assessment"]
     missed = {fit["name"]: fit["rms_after_mm"] for fit in data["configurations"]}
     errors = {k: np.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
-    bodies = {
+    states = {
         fit["name"]: path.parent / file
         for fit in data["configurations"]
         for file in fit.get("files", [])[:1]
@@ -215,7 +215,7 @@ def load_result(
         z=z,
         estimate=Estimate(space, z, C, said.get("contradicted", False)),
         errors=errors,
-        bodies=bodies,
+        states=states,
         converged=data["converged"],
         outcome=said.get("outcome", "take with care"),
         doubts=tuple(said["reasons"]),

@@ -23,7 +23,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
-from softcal_jax.export import failures, headline, plain
+from softcal_jax.export import headline, plain
 from softcal_jax.identifiability import (
     LOST,
     Assessment,
@@ -339,10 +339,25 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
     alone = Table(title, (Column("configuration", poses), *folds))
     return (
         verdict(headline(comparison), tone),
-        Section("failures", "What failed", tuple(failures(comparison))),
+        Section("failures", "What failed", tuple(_failures(comparison))),
         Section("models", "Models", (), (table,)),
         Section("folds", "Held-out configurations", (), (alone,), folded=True),
     )
+
+
+def _failures(result: ModelComparison) -> list[str]:
+    """Say which fits failed and why, one sentence each."""
+    lines = []
+    for model in result.models:
+        lines += [
+            f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
+            for fold in model.failed
+        ]
+        if model.fit_failure:
+            lines.append(
+                f"{model.name!r}, all configurations fitted: {model.fit_failure}."
+            )
+    return lines
 
 
 def _transfer(result: Transfer) -> tuple[Section, ...]:

@@ -25,7 +25,7 @@ from softcal_jax.control import (
     follow_trajectory,
     solve_inverse,
 )
-from softcal_jax.export import headline, off
+from softcal_jax.export import headline, off_words
 from softcal_jax.report._goals import goal_table
 
 FINE = ControlSettings(tol=1e-6)
@@ -233,7 +233,7 @@ def test_a_start_without_equilibrium_reaches_nothing():
     (point, _) = make_fit(small_model().mesh).points
     fit = GoalFit(replace(point, simulated=np.full(3, np.nan)))
     assert InverseResult.unmet.fget(SimpleNamespace(goals=(fit,), tol=0.01)) == (fit,)
-    assert off(fit) == "x unknown, y unknown, z unknown"
+    assert off_words(fit) == "x unknown, y unknown, z unknown"
     table = str(goal_table([fit]).rows())
     assert "unknown" in table
     assert "nan" not in table

@@ -60,6 +60,26 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     assert result.blind is None
 
 
+def test_a_goal_far_away_is_found_to_be_so_early(monkeypatch):
+    """Few of the other starts are needed, and all of them lead hardly closer."""
+    limits = {
+        "top": Limits(force=(0.0, 3.0)),
+        "motor": Limits(displacement=(-0.5, 0.5)),
+    }
+    far = {"tip": (2.0 * LENGTH, 0.0, LENGTH)}
+    run = lambda: solve_inverse(
+        arm(), robot(top=0.8, motor=0.1), goals=far, limits=limits
+    )
+    early = run()
+    assert early.outcome == OUTCOMES.nearest
+    assert len(early.attempts) == _search.AGREEING
+    monkeypatch.setattr(_search, "AGREEING", 100)
+    whole = run()
+    assert len(whole.attempts) > 20
+    size = lambda result: np.linalg.norm(result.goals[0].residual)
+    assert size(early) <= 1.01 * size(whole)
+
+
 def interrupted_at(monkeypatch, step):
     """From the step of this number on, of all descents, Ctrl-C is pressed in one."""
     count, decide = iter(range(1, 1000)), _search.decide
