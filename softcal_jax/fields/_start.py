@@ -143,6 +143,8 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
 def _check_order(space: ParameterSpace) -> None:
     """Raise unless the start keeps the order and the bounds leave room for it."""
     plain = space.in_plain_steps()
+    if not plain.order_names():  # else the next lines would compile programs
+        return
     A, b = map(np.asarray, plain.order_rows())
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
