@@ -29,6 +29,8 @@ SLIGHT = 1e-7  # violation of a row that BoxOSQP may leave, for unit data [-]
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
 
+KKT_TOLERANCE = 1e-6  # optimality residual at which a step is one, of unit data [-]
+MOST_LEFT, MOST_ITERATIONS = 1e-8, 1000  # residual and iterations at BoxOSQP's end
 SOLVED = 1e-12  # optimality residual at which a point is not polished any further [-]
 FLATTEST = 1e-8  # smallest curvature of the convex model, relative to the largest [-]
 
@@ -37,11 +39,13 @@ class QPStep(NamedTuple):
     """Solution of the QP, in scaled units [-].
 
     `kkt_residual` is the largest violation of the optimality conditions, for columns of
-    W, rows of A and an error of unit length.
+    W, rows of A and an error of unit length; `by_polish` says whether BoxOSQP alone had
+    left more than `KKT_TOLERANCE`.
     """
 
     lambda_p: Float[Array, " n_p"]
     kkt_residual: Float[Array, ""]
+    by_polish: Bool[Array, ""]
 
 
 class QPLimits(NamedTuple):
@@ -101,11 +105,10 @@ def bounded_step(
     """Minimise ||W l + error||^2 / 2 for lower <= l <= upper and A l <= b.
 
     `damping` adds damping / 2 times ||D l||^2, with D the lengths of the columns of W.
-    `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. An
-    active-set method gives its starting point and polishes its solution, by solving
-    with the constraints that are active at the end as equalities, which is exact. The
-    starting point is nearly always the optimum (`python -m benchmarks run qp` measures
-    which stage decides).
+    `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. Then an
+    active-set method polishes its solution, by solving with the constraints that are
+    active at the end as equalities, which is exact (`python -m benchmarks run qp`
+    measures which of the two decides).
 
     Args:
         W: Stacked compliances in noise units [-].
@@ -170,11 +173,13 @@ def scaled_qp(
 
 
 def solved_qp(qp: ScaledQP) -> QPStep:
-    """Polish a step of zero, run BoxOSQP from there, and polish its solution."""
-    best = _polished(qp, _iterated(qp, _polished(qp, _no_step(qp))))
+    """Run BoxOSQP from no step, and polish its solution."""
+    nothing = _no_step(qp)
+    iterated = _iterated(qp, nothing)
+    best = _polished(qp, iterated, nothing)
     # Scaling back rounds.
     step = jnp.clip(best.y * qp.unit, qp.lower, qp.upper)
-    return QPStep(step, best.kkt)
+    return QPStep(step, best.kkt, iterated.kkt > KKT_TOLERANCE)
 
 
 def _no_step(qp: ScaledQP) -> _Candidate:
@@ -185,30 +190,41 @@ def _no_step(qp: ScaledQP) -> _Candidate:
 
 
 def _iterated(qp: ScaledQP, start: _Candidate) -> _Candidate:
-    """Run BoxOSQP from a point and its multipliers."""
+    """Run BoxOSQP from a point, with limits and rows scaled to a range of one."""
     # Here, so that commands which do not need it do not wait for it.
     from jaxopt import BoxOSQP
     from jaxopt.base import KKTSolution
 
     n = qp.c.shape[0]
-    G = jnp.concatenate([jnp.eye(n, dtype=qp.c.dtype), qp.R])
+    width = jnp.concatenate([_width(qp), _extent(qp)])
+    G = jnp.concatenate([jnp.eye(n, dtype=qp.c.dtype), qp.R]) / width[:, None]
     limits = (
-        jnp.concatenate([qp.low, jnp.full_like(qp.r, -jnp.inf)]),
-        jnp.concatenate([qp.high, qp.r]),
+        jnp.concatenate([qp.low, jnp.full_like(qp.r, -jnp.inf)]) / width,
+        jnp.concatenate([qp.high, qp.r]) / width,
     )
-    dual = jnp.concatenate([-_gradient(qp, start.y, start.mu), start.mu])
-    # LU: conjugate gradients, the default, can end far off in a flat valley.
+    none = jnp.zeros_like(width)
+    # LU: conjugate gradients, the default, can end far off in a flat valley. A new
+    # step size takes a while to show whether it is better.
     solver = BoxOSQP(
-        eq_qp_solve="lu", tol=1e-10, maxiter=4000, check_primal_dual_infeasability=False
+        eq_qp_solve="lu",
+        tol=MOST_LEFT,
+        maxiter=MOST_ITERATIONS,
+        stepsize_updates_frequency=25,
+        check_primal_dual_infeasability=False,
     )
-    first = KKTSolution((start.y, jnp.clip(G @ start.y, *limits)), dual, (dual, dual))
+    first = KKTSolution((start.y, jnp.clip(G @ start.y, *limits)), none, (none, none))
     params, _ = solver.run(first, (qp.Q, qp.c), G, limits)
-    return _better(qp, start, params.primal[0], params.dual_eq[n:])
+    return _better(qp, start, params.primal[0], (params.dual_eq / width)[n:])
 
 
 def _gradient(qp: ScaledQP, y, mu):
     """Return the gradient of the Lagrangian without the bounds."""
     return qp.Q @ y + qp.c + qp.R.T @ mu
+
+
+def _width(qp: ScaledQP):
+    """Return the width of the box in each coordinate, at most one."""
+    return jnp.clip(jnp.abs(qp.high - qp.low), jnp.finfo(qp.c.dtype).eps, 1.0)
 
 
 def _extent(qp: ScaledQP):
@@ -236,8 +252,7 @@ def _kkt_residual(qp: ScaledQP, y, mu):
     """
     eps = jnp.finfo(y.dtype).eps
     gradient, slack = _gradient(qp, y, mu), qp.r - qp.R @ y
-    width = jnp.clip(jnp.abs(qp.high - qp.low), eps, 1.0)
-    extent = _extent(qp)
+    width, extent = _width(qp), _extent(qp)
     to_low, to_high = (y - qp.low) / width, (qp.high - y) / width
     # The rounding of an active row is no violation.
     rounding = 8.0 * eps * (jnp.abs(qp.R) @ jnp.abs(y) + jnp.abs(qp.r))
@@ -254,10 +269,22 @@ def _kkt_residual(qp: ScaledQP, y, mu):
     return jnp.max(jnp.concatenate([jnp.maximum(v, 0.0) for v in violations]))
 
 
-def _polished(qp: ScaledQP, start: _Candidate) -> _Candidate:
-    """Descend from a point, unless it is the optimum already."""
-    done = start.kkt <= SOLVED
-    return jax.lax.cond(done, lambda: start, lambda: _descended(qp, start))
+def _polished(qp: ScaledQP, iterated: _Candidate, nothing: _Candidate) -> _Candidate:
+    """Descend from what BoxOSQP found, and from no step where that is a dead end."""
+
+    def descend(state: tuple[Int[Array, ""], _Candidate]):
+        tried, best = state
+        first = tried == 0
+        start = jax.tree.map(lambda a, b: jnp.where(first, a, b), iterated, nothing)
+        end = _descended(qp, start)
+        return tried + 1, _better(qp, best, end.y, end.mu)
+
+    def unsolved(state: tuple[Int[Array, ""], _Candidate]):
+        tried, best = state
+        return (tried < 2) & (best.kkt > jnp.where(tried == 0, SOLVED, KKT_TOLERANCE))
+
+    begin = jnp.zeros((), jnp.int32), iterated
+    return jax.lax.while_loop(unsolved, descend, begin)[1]
 
 
 def _descended(qp: ScaledQP, start: _Candidate) -> _Candidate:

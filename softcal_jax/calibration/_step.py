@@ -19,6 +19,7 @@ from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._qp import (
+    KKT_TOLERANCE,
     QPLimits,
     QPStep,
     ScaledQP,
@@ -37,9 +38,6 @@ wall a little, and the next one returns to its floor further down; if every step
 lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
 Anal. 23, 1986).
 """
-
-KKT_TOLERANCE = 1e-6
-"""Largest optimality residual with which a vanishing QP step is trusted [-]."""
 
 SLOW = 1e-2
 """Predicted relative fall of the cost below which gradients must be exact [-].
@@ -104,11 +102,12 @@ class CalibrationState(Module):
     """State of the outer loop, with the evaluation at z and the bound on the next step.
 
     `recent_costs` are those of the last accepted steps, the latest first; `lambda_p` is
-    the last QP step, with its residual, and whether it was accepted. It has `converged`
-    where lambda_p has vanished, not shortened by the step bound, where `MEMORY` steps
-    gained nothing, or steps were refused at a minimum, and has `stalled` where they
-    were refused until the bound was below `tol`, away from a minimum. `least_fall` is
-    the relative fall of the cost that is worth a step.
+    the last QP step, with its residual, whether the polish had to end it, and whether
+    it was accepted. It has `converged` where lambda_p has vanished, not shortened by
+    the step bound, where `MEMORY` steps gained nothing, or steps were refused at a
+    minimum, and has `stalled` where they were refused until the bound was below `tol`,
+    away from a minimum. `least_fall` is the relative fall of the cost that is worth a
+    step.
     """
 
     z: Float[Array, " n_p"]
@@ -118,6 +117,7 @@ class CalibrationState(Module):
     step_bound: Float[Array, ""]
     lambda_p: Float[Array, " n_p"]
     kkt_residual: Float[Array, ""]
+    by_polish: Bool[Array, ""]
     accepted: Bool[Array, ""]
     step: Int[Array, ""]
     converged: Bool[Array, ""]
@@ -138,6 +138,7 @@ def initial_state(
         step_bound=jnp.full((), settings.step_bound, z.dtype),
         lambda_p=jnp.full_like(z, jnp.inf),
         kkt_residual=jnp.zeros((), z.dtype),
+        by_polish=jnp.zeros((), bool),
         accepted=jnp.ones((), bool),
         step=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
@@ -207,7 +208,8 @@ def _solved_each(qps: ScaledQP, curved: Bool[Array, ""]) -> QPStep:
 
     def one(each: tuple[ScaledQP, Bool[Array, ""]]) -> QPStep:
         qp, wanted = each
-        nothing = QPStep(jnp.zeros_like(qp.c), jnp.zeros((), qp.c.dtype))
+        none = jnp.zeros((), qp.c.dtype)
+        nothing = QPStep(jnp.zeros_like(qp.c), none, jnp.zeros((), bool))
         return jax.lax.cond(wanted, solved_qp, lambda _: nothing, qp)
 
     return jax.lax.map(one, (qps, jnp.stack([jnp.array(True), curved])))
@@ -361,6 +363,7 @@ def decide(
         step_bound=bound,
         lambda_p=lambda_p,
         kkt_residual=proposal.qp.kkt_residual,
+        by_polish=proposal.qp.by_polish,
         accepted=accepted,
         step=state.step + 1,
         converged=vanished | idle | (collapsed & flat),
