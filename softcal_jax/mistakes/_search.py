@@ -34,6 +34,12 @@ ALIKE = 2.0  # ratio of squares that superposition can hardly tell apart [-]
 SHORTER = 0.3
 """Factor on the largest step about a simulation from which one went wrong [-]."""
 
+MISPLACED = 4.0
+"""Distance over what is left of the residuals from which a marker is misplaced [-].
+
+Less is what a marker's place makes up for where the model errs.
+"""
+
 MOST_SIMULATED = 4  # most simulations of all poses for each kind of change
 
 AS_GOOD = 20.0
@@ -242,6 +248,10 @@ class _Search:
         clearly = fit.near and fit.squares <= self._limit
         if not clearly or self._evidence(fit, self.as_is) < least:
             return False
+        if fit.change.kind == "misplaced marker":
+            distance = np.linalg.norm(fit.along)
+            if distance < MISPLACED * self.refitter.rms(fit):
+                return False
         at_noise = not self.stated or self.refitter.level(fit) <= AT_NOISE
         return at_noise and not self.refitter.rms(fit) > self.refitter.rms(self.as_is)
 

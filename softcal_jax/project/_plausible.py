@@ -260,8 +260,10 @@ def _misread(model: Model, seen: _Seen) -> Iterator[str]:
             f"{seen.key}: nothing acts, but markers moved, {seen.moved(most)}. State "
             "gravity and loads, or correct the places of the markers or the frame."
         )
-    still = seen.before is None and np.all(sizes < TAKEN * seen.noise)
-    if acts and still and len(sizes) > 1:
+    names = () if seen.c.markers is None else seen.c.markers.names
+    markers = np.array([record.name in names for record in seen.points])
+    still = seen.before is None and np.all((sizes < TAKEN * seen.noise)[markers])
+    if acts and still and markers.sum() > 1:
         yield (
             f"{seen.key}: every marker was measured at its place at rest, although "
             f"{listed(acts)} acts. Places that were read in this pose are not those at "
@@ -292,23 +294,27 @@ def _misread(model: Model, seen: _Seen) -> Iterator[str]:
 def _work(model: Model, seen: _Seen) -> float:
     """Return the work of weight and loads over force times motion [-].
 
-    It is positive for a body that yields to them; 1 where something else acts. Each
-    node moves about as the nearest point that was measured or is held.
+    It is positive for a body that yields to them; 1 where something else acts, as a
+    motor does. Each node, and each rigid body, moves about as the nearest point that
+    was measured or is held.
     """
     mesh, mechanism = model.mesh, model.mechanism
-    levers = mechanism.bodies.names or mechanism.contacts.names
     poses = [seen.c] if seen.before is None else [seen.c, seen.before]
-    if levers or any(c.actuation for c in poses):
+    others = any(c.actuation or c.bodies for c in poses) or mechanism.contacts.names
+    if others or np.any(np.asarray(mechanism.actuators.motor_body) >= 0):
         return 1.0
-    mass = np.zeros(mesh.n_nodes)
+    mass, bodies = np.zeros(mesh.n_nodes), mechanism.bodies
     of_tets = np.asarray(model.density) * volumes(mesh) / 4.0
     np.add.at(mass, mesh.tets[:, :4], np.broadcast_to(of_tets, mesh.n_tets)[:, None])
-    force = np.zeros((mesh.n_nodes, 3))
+    mass = np.append(mass, bodies.mass)[:, None]
+    force = np.zeros((len(mass), 3))
     for sign, c in zip((1.0, -1.0), poses, strict=False):
-        force += sign * mass[:, None] * np.array(c.gravity)
-        force += sign * sum(load.nodal_forces(mesh) for load in c.loads)
+        force += sign * mass * np.array(c.gravity)
+        loads = sum(load.nodal_forces(mesh) for load in c.loads)
+        force[: mesh.n_nodes] += sign * loads
     places = np.concatenate([[r.at_rest for r in seen.points], seen.held])
     u = np.concatenate([seen.u, np.zeros_like(seen.held)])
-    u = u[KDTree(places).query(mesh.points)[1]]
+    carriers = np.concatenate([mesh.points, np.reshape(bodies.origin, (-1, 3))])
+    u = u[KDTree(places).query(carriers)[1]]
     sizes = np.linalg.norm(force, axis=1) * np.linalg.norm(u, axis=1)
     return float(np.sum(force * u) / max(np.sum(sizes), 1e-300))
