@@ -11,7 +11,6 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
-    CalibrationProblem,
     CalibrationSettings,
     Evaluator,
     Run,
@@ -22,6 +21,7 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
+from softcal_jax.unknowns import Problem
 
 Cells = tuple[int, int, int]
 
@@ -49,7 +49,7 @@ class MeasuredBeam(NamedTuple):
     """A beam of Sec. V, and its calibration against its own p_target."""
 
     beam: AnisotropicBeam
-    problem: CalibrationProblem
+    problem: Problem
 
     @property
     def space(self) -> ParameterSpace:
@@ -78,10 +78,10 @@ def measured_beam(cells: Cells = CELLS, **choices: Any) -> MeasuredBeam:
 
 
 def subset(
-    problem: CalibrationProblem,
+    problem: Problem,
     lanes: Sequence[int],
     markers: Sequence[int] | None = None,
-) -> CalibrationProblem:
+) -> Problem:
     """Some configurations and effectors of a problem, in arrays of the same shapes.
 
     So that one compiled program serves all of them: lanes to spare repeat the first
@@ -110,7 +110,7 @@ def paper_settings(step_bound: float, max_steps: int) -> CalibrationSettings:
 
 
 def run_each(
-    problems: Sequence[CalibrationProblem],
+    problems: Sequence[Problem],
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
 ) -> list[Run]:
@@ -134,7 +134,7 @@ def run_each(
 
 
 def one_run(
-    problem: CalibrationProblem,
+    problem: Problem,
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
 ) -> Run:

@@ -16,12 +16,7 @@ from benchmarks._cantilever import nearest
 from benchmarks._paper import CELLS, STD, Cells, MeasuredBeam, parameter_errors
 from benchmarks._timing import forget_starts
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    MultiStartResult,
-    build_problem,
-    multi_start,
-)
+from softcal_jax.calibration import MultiStartResult, build_problem, multi_start
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -33,6 +28,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.materials import StVenantKirchhoff
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 from softcal_jax.sensitivity import equilibrium_response
+from softcal_jax.unknowns import Problem
 
 NEWTON = NewtonSettings()
 """Our settings; their relative tolerance, 1e-8, is that of all."""
@@ -78,7 +74,7 @@ class Job(NamedTuple):
     measured: MeasuredBeam
 
     @property
-    def problem(self) -> CalibrationProblem:
+    def problem(self) -> Problem:
         """Our problem."""
         return self.measured.problem
 
@@ -150,7 +146,7 @@ def peer_job(cells: Cells = CELLS) -> Job:
     )
 
 
-def lane_of(problem: CalibrationProblem, pose: int) -> ConfigurationArrays:
+def lane_of(problem: Problem, pose: int) -> ConfigurationArrays:
     """One configuration, without the leading axis."""
     pick = lambda leaf: np.asarray(leaf)[pose]
     return jax.device_put(jax.tree.map(pick, problem.configurations))
@@ -189,7 +185,7 @@ def _material(model: Model) -> Float[Array, "n_tets 3"]:
     return jnp.stack([jnp.broadcast_to(field, shape) for field in fields], axis=1)
 
 
-def _fields_of(problem: CalibrationProblem, z):
+def _fields_of(problem: Problem, z):
     return _material(problem.space.model_at(problem.model, z))
 
 
@@ -203,13 +199,13 @@ _internal_force = eqx.filter_jit(internal_force)
 
 
 @eqx.filter_jit
-def _static(problem: CalibrationProblem, lane: ConfigurationArrays, z):
+def _static(problem: Problem, lane: ConfigurationArrays, z):
     model = problem.space.model_at(problem.model, z)
     return solve_equilibrium(model, lane, settings=problem.newton)
 
 
 @eqx.filter_jit
-def _gradient(problem: CalibrationProblem, lane: ConfigurationArrays, z):
+def _gradient(problem: Problem, lane: ConfigurationArrays, z):
     model = problem.space.model_at(problem.model, z)
     solved = solve_equilibrium(model, lane, settings=problem.newton)
     shared = model, problem.space, problem.newton, z
@@ -220,7 +216,7 @@ def _gradient(problem: CalibrationProblem, lane: ConfigurationArrays, z):
     return 0.5 * jnp.sum(error**2), by_parameter
 
 
-def _force(problem: CalibrationProblem, lane: ConfigurationArrays, z) -> float:
+def _force(problem: Problem, lane: ConfigurationArrays, z) -> float:
     """Norm of the internal forces in equilibrium, those on the ground included [N]."""
     u = _static(problem, lane, z).displacement
     model = problem.space.model_at(problem.model, z)

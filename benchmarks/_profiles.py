@@ -10,13 +10,13 @@ from benchmarks._paper import one_run
 from benchmarks._problem import Options
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
-    CalibrationProblem,
     CalibrationSettings,
     LowerCostFound,
     evaluate,
     profile_ends,
 )
 from softcal_jax.inference import independent
+from softcal_jax.unknowns import Problem
 
 SETTINGS = CalibrationSettings(max_steps=40)
 
@@ -45,7 +45,7 @@ class Profiles(NamedTuple):
 
 
 def profiles(
-    problem: CalibrationProblem,
+    problem: Problem,
     target: Float[Array, " n_p"],
     measured: Float[HostArray, "n_draws n_c n_rows 3"],
     rise: float,
@@ -94,11 +94,11 @@ def profiles(
     return Profiles(inside, both_ends, again)
 
 
-def _measured(problem: CalibrationProblem):
+def _measured(problem: Problem):
     return problem.configurations.effectors.measured
 
 
-def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
+def _fit(problem: Problem, z: Float[Array, " n_p"]):
     """A calibration from z, with its linear model at the end."""
     run = one_run(problem, SETTINGS, z)
     z = jnp.asarray(run.z)
@@ -106,7 +106,7 @@ def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
     return z, run.converged, independent(W, tuple(problem.space.names), r=error)
 
 
-def _row(problem: CalibrationProblem, gap, ends) -> list[tuple[float, float, float]]:
+def _row(problem: Problem, gap, ends) -> list[tuple[float, float, float]]:
     """How far an interval goes down and up, and how far away p_target is."""
     gaps = np.asarray(problem.space.shorter(gap))
     if ends is None:

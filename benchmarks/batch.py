@@ -35,7 +35,7 @@ from benchmarks._paper import CELLS, MeasuredBeam, measured_beam
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import ROOT, interleave, median_ms, run_process
 from softcal_jax import use_compilation_cache
-from softcal_jax.calibration import CalibrationProblem, Evaluator
+from softcal_jax.calibration import Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     Workers,
@@ -44,6 +44,7 @@ from softcal_jax.equilibrium import (
     usable_cores,
     use_cores,
 )
+from softcal_jax.unknowns import Problem
 
 LANES = (1, 2, 4, 16, 64)
 COUNTS = {"evaluations": 3, "devices": 3, "call": 1}
@@ -207,7 +208,7 @@ def _waiting(call: Callable[[], object]) -> Callable[[], object]:
     return lambda: jax.block_until_ready(call())
 
 
-def loaded(measured: MeasuredBeam, n: int) -> CalibrationProblem:
+def loaded(measured: MeasuredBeam, n: int) -> Problem:
     """A calibration of n configurations: those of the beam, each with its own weight.
 
     Args:

@@ -37,10 +37,11 @@ from benchmarks._paper import (
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import forget_starts, interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import CalibrationProblem, multi_start
+from softcal_jax.calibration import multi_start
 from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
 from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
+from softcal_jax.unknowns import Problem
 
 STARTS = 30
 """Random starts of ours, beside that of Fig. 3."""
@@ -112,7 +113,7 @@ def run(options: Options) -> Outcome:
     return Outcome(figures, samples, goals, [_table(rows)], by_hand)
 
 
-def _at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
+def _at_rest(problem: Problem) -> Float[Array, "n_c n_points 3"]:
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
 
@@ -143,13 +144,13 @@ KINDS = {"by_hand": False, "by_hand_tuned": True}
 """Runs by hand, and whether equilibria start from the last one."""
 
 
-def _ours(problem: CalibrationProblem, start: Float[Array, " n_p"]):
+def _ours(problem: Problem, start: Float[Array, " n_p"]):
     forget_starts()
     return multi_start(problem, start[None])
 
 
 @eqx.filter_jit
-def _simulate(problem: CalibrationProblem, z, guess):
+def _simulate(problem: Problem, z, guess):
     """Errors in units of the noise, and equilibria."""
     model, lanes = problem.at(z)
     solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=problem.newton)
@@ -164,7 +165,7 @@ def _simulate(problem: CalibrationProblem, z, guess):
 class Residuals:
     """What a first script would hand to `least_squares`, and its differences."""
 
-    def __init__(self, problem: CalibrationProblem, *, warm: bool):
+    def __init__(self, problem: Problem, *, warm: bool):
         """Errors of a calibration.
 
         Args:

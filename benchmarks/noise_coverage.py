@@ -41,15 +41,11 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._profiles import Profiles, profiles
 from benchmarks.paper_table1 import all_markers, with_known
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    CalibrationSettings,
-    build_problem,
-    evaluate,
-)
+from softcal_jax.calibration import CalibrationSettings, build_problem, evaluate
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import independent
 from softcal_jax.robots import synthetic_measurements
+from softcal_jax.unknowns import Problem
 
 LEVELS = (0.1e-3, 0.3e-3, 1.0e-3)
 """Standard deviations of the markers [m]."""
@@ -154,7 +150,7 @@ def run(options: Options) -> Outcome:
 
 def clean_problem(
     cells: Cells, fields: Sequence[str]
-) -> tuple[CalibrationProblem, Float[Array, " n_p"]]:
+) -> tuple[Problem, Float[Array, " n_p"]]:
     """The calibration of some fields without noise, and its p_target, scaled."""
     beam, poses = all_markers(cells, "xy")
     poses = synthetic_measurements(beam.model, beam.space, poses, beam.target)
@@ -179,9 +175,7 @@ def _share(inside: HostArray) -> Figure:
     return float(np.mean(inside)) if inside.size else "no fit has intervals"
 
 
-def draw(
-    clean: CalibrationProblem, target: Float[Array, " n_p"], std: float, n: int
-) -> Draws:
+def draw(clean: Problem, target: Float[Array, " n_p"], std: float, n: int) -> Draws:
     """Fit n draws of normal noise.
 
     Args:
@@ -216,9 +210,7 @@ def draw(
     )
 
 
-def noisy(
-    clean: CalibrationProblem, std: float, n: int
-) -> tuple[CalibrationProblem, HostArray]:
+def noisy(clean: Problem, std: float, n: int) -> tuple[Problem, HostArray]:
     """The calibration that knows its noise, and n draws of what is measured."""
     weight = clean.configurations.effectors.inverse_std * (STD / std)
     problem = eqx.tree_at(
@@ -229,7 +221,7 @@ def noisy(
     return problem, exact + std * noise
 
 
-def _standard_errors(problem: CalibrationProblem, z, at_bound) -> HostArray:
+def _standard_errors(problem: Problem, z, at_bound) -> HostArray:
     """As `calibrate` gives them with noise="stated", in SI units."""
     rows, space = evaluate(problem, z).rows, problem.space
     linear = independent(np.asarray(rows.W), tuple(space.names))

@@ -38,18 +38,14 @@ from benchmarks._paper import (
 )
 from benchmarks._problem import Figure, Options, Outcome, Table
 from softcal_jax._typing import HostArray
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    CalibrationSettings,
-    Run,
-    build_problem,
-)
+from softcal_jax.calibration import CalibrationSettings, Run, build_problem
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import ControlPointParameters, ParameterSpace
 from softcal_jax.identifiability import conditioning
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
 from softcal_jax.sensitivity import energy_compliance
+from softcal_jax.unknowns import Problem
 
 FIELDS = {
     "E_l, theta": ("E_l", "theta"),
@@ -158,7 +154,7 @@ def all_markers(
 
 
 @eqx.filter_jit
-def _compliances(problem: CalibrationProblem, z):
+def _compliances(problem: Problem, z):
     model, lanes = problem.at(z)
 
     def lane(nominal, posed):

@@ -23,18 +23,12 @@ from softcal_jax.calibration._evaluation import (
     Evaluator as Evaluator,
     evaluate as evaluate,
 )
-from softcal_jax.calibration._noise import (
-    CorrelatedNoise as CorrelatedNoise,
-    check_references as check_references,
-    correlated_noise as correlated_noise,
-)
 from softcal_jax.calibration._notes import (
     CalibrationWarning as CalibrationWarning,
     LeftOut as LeftOut,
     ResidualChecks as ResidualChecks,
 )
 from softcal_jax.calibration._problem import (
-    CalibrationProblem as CalibrationProblem,
     CalibrationSettings as CalibrationSettings,
     linear_model as linear_model,
 )

@@ -24,17 +24,14 @@ from softcal_jax.calibration._checked_intervals import (
 from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
-from softcal_jax.calibration._noise import check_references, correlated_noise, read_once
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
     warn_if_locking,
     warn_if_too_few_data,
 )
 from softcal_jax.calibration._problem import (
-    Batch,
-    CalibrationProblem,
     CalibrationSettings,
-    Task,
+    FitOptions,
     check_effects,
 )
 from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
@@ -61,7 +58,7 @@ from softcal_jax.fields import (
     default_starts,
     exactly_known,
 )
-from softcal_jax.unknowns import Setting
+from softcal_jax.unknowns import Problem, check_references, correlated_noise, read_once
 
 
 def calibrate(
@@ -163,26 +160,28 @@ def calibrate(
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
-    task = Task(
-        model=model,
-        space=space,
-        fitted=as_sequence(configurations),
-        held_out=as_sequence(validation),
-        noise=noise,
-        uncertain=uncertain or Uncertain(),
-        settings=settings or CalibrationSettings(),
+    if deviations is not None and intervals is not None:
+        raise ValueError("specimens that deviate have no intervals: intervals=None.")
+    problem, repeated = _checked_problem(
+        model,
+        space,
+        as_sequence(configurations),
+        as_sequence(validation),
         newton=newton or NewtonSettings(),
+        uncertain=uncertain or Uncertain(),
+        goals=goals,
+    )
+    if deviations is not None:
+        problem = replace(problem, deviations=_deviations(problem, deviations))
+    options = FitOptions(
+        noise=noise,
+        settings=settings or CalibrationSettings(),
         precision=precision,
         starts=starts,
         seed=seed,
         start=start,
-        deviations=deviations,
-        goals=goals,
         intervals=intervals,
     )
-    if deviations is not None and intervals is not None:
-        raise ValueError("specimens that deviate have no intervals: intervals=None.")
-    batch = _batch(task)
     with progress_line(wanted=progress is None) as line:
         watch = Watch(
             checkpoint,
@@ -192,12 +191,15 @@ def calibrate(
             answer,
             stage or line or (lambda _: None),
         )
-        return _with_intervals(task, batch, watch)
+        result = _with_intervals(problem, options, watch)
+    return replace(result, repeated=repeated)
 
 
-def _with_intervals(task: Task, batch: Batch, watch: Watch) -> CalibrationResult:
+def _with_intervals(
+    problem: Problem, options: FitOptions, watch: Watch
+) -> CalibrationResult:
     """Fit, and find the intervals of the parameters if they are asked for."""
-    first, intervals = fit(task, batch, watch), task.intervals
+    first, intervals = fit(problem, options, watch), options.intervals
     if intervals is None or first.result.interrupted:
         return first.result
 
@@ -206,7 +208,7 @@ def _with_intervals(task: Task, batch: Batch, watch: Watch) -> CalibrationResult
         assert old.noise is not None
         resume = Resume(z, old.noise, old.history)
         again = watch._replace(checkpoint=None, answer=None)
-        new = fit(task._replace(starts=1), batch, again, resume)
+        new = fit(problem, options._replace(starts=1), again, resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         result = replace(new.result, starts=old.starts, timing_s=timing)
         return new._replace(result=result)
@@ -219,46 +221,50 @@ def _with_intervals(task: Task, batch: Batch, watch: Watch) -> CalibrationResult
         return replace(first.result, notes=notes, interrupted=True)
 
 
-def _batch(task: Task) -> Batch:
-    """Stack all configurations, and check them before the first solve."""
-    everything, setting, repeats = _stacked(
-        task.model,
-        task.space,
-        task.configurations,
-        task.newton,
-        task.uncertain,
-        task.goals,
-    )
-    everything = replace(everything, deviations=_deviations(task))
-    fitted = everything.of_first(len(task.fitted))
-    check_scopes(task.space, task.fitted)
-    check_effects(fitted)
-    records = setting.lanes.effectors
-    check_references(task.configurations, records, fitted=task.fitted)
-    warn_if_too_few_data(fitted)
+def _checked_problem(
+    model: Model,
+    space: ParameterSpace,
+    fitted: tuple[Configuration, ...],
+    held_out: tuple[Configuration, ...],
+    *,
+    newton: NewtonSettings,
+    uncertain: Uncertain,
+    goals: bool,
+) -> tuple[Problem, str]:
+    """Stack all configurations, and check them before the first solve.
+
+    Returns them, and which readings stand in several configurations, if any do.
+    """
+    poses = (*fitted, *held_out)
+    problem, repeats = _problem(model, space, poses, newton, uncertain, goals)
+    check_scopes(space, fitted)
+    problem = replace(problem, n_held_out=len(held_out))
+    check_effects(problem.fitted)
+    check_references(poses, problem.records, fitted=fitted)
+    warn_if_too_few_data(problem.fitted)
     repeated = "; ".join(f"{k} has the readings of {of}" for k, of in repeats.items())
     if repeated:
         repeated += ", to the last digit: they count once. Check what each one reads."
-    held_out = [c.name for c in task.held_out if c.name in repeats]
-    if held_out:
-        repeated += f" The error of {listed(held_out)} is not held out."
-    if len(held_out) < len(repeats):
+    twice = [c.name for c in held_out if c.name in repeats]
+    if twice:
+        repeated += f" The error of {listed(twice)} is not held out."
+    if len(twice) < len(repeats):
         warnings.warn(repeated, CalibrationWarning, stacklevel=3)
-    return Batch(everything, fitted, setting, repeated)
+    return problem, repeated
 
 
-def _deviations(task: Task) -> Float[Array, "n_c n_p"] | None:
+def _deviations(
+    problem: Problem, given: Float[Array, "n_c n_p"]
+) -> Float[Array, "n_c n_p"]:
     """Return the deviations of specimens, checked."""
-    if task.deviations is None:
-        return None
-    given, shape = jnp.asarray(task.deviations, float), (len(task.configurations),)
-    if given.shape != (*shape, len(task.space.names)):
+    given, n_c = jnp.asarray(given, float), len(problem.poses)
+    if given.shape != (n_c, len(problem.space.names)):
         raise ValueError(
-            f"deviations must have a row for each of the {shape[0]} configurations, "
-            f"and a column for each of the {len(task.space.names)} parameters; got "
+            f"deviations must have a row for each of the {n_c} configurations, "
+            f"and a column for each of the {len(problem.space.names)} parameters; got "
             f"shape {given.shape}."
         )
-    if task.held_out or task.uncertain != exactly_known():
+    if problem.n_held_out or problem.uncertain != exactly_known():
         raise ValueError(
             "deviations are of fitted specimens, and everything else must be known: "
             "leave out `validation`, and give uncertain=exactly_known()."
@@ -319,10 +325,9 @@ def profile_intervals(
     problem = build_problem(result.model, space, configurations, result.newton)
     problem = problem.with_noise(result.noise)
     now = evaluate(problem, result.z)
-    check_converged(now.equilibrium, tuple(c.name for c in configurations))
+    check_converged(now.equilibrium, problem.names)
     columns = [space.names.index(name) for name in names]
-    fit = Fitted(result, problem, tuple(configurations), now)
-    ends = fit.profile_ends(level, columns)
+    ends = Fitted(result, problem, now).profile_ends(level, columns)
     return tuple(
         whole_interval(result, column, level, pair)
         for column, pair in zip(columns, ends, strict=True)
@@ -336,7 +341,7 @@ def build_problem(
     newton: NewtonSettings | None = None,
     *,
     uncertain: Uncertain | None = None,
-) -> CalibrationProblem:
+) -> Problem:
     """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
     By default everything that is not calibrated is exactly known. Offsets of recordings
@@ -348,19 +353,19 @@ def build_problem(
     """
     posed, space = as_sequence(configurations), as_space(parameters)
     newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
-    problem, setting, _ = _stacked(model, space, posed, newton, uncertain)
-    check_references(posed, setting.lanes.effectors)
+    problem, _ = _problem(model, space, posed, newton, uncertain)
+    check_references(posed, problem.records)
     return problem
 
 
-def _stacked(
+def _problem(
     model: Model,
     space: ParameterSpace,
     configurations: Sequence[Configuration],
     newton: NewtonSettings,
     uncertain: Uncertain,
     goals: bool = False,
-) -> tuple[CalibrationProblem, Setting, dict[str, str]]:
+) -> tuple[Problem, dict[str, str]]:
     """Stack a calibration into arrays; see `read_once` for what is repeated."""
     check_process()
     for configuration in configurations:
@@ -373,10 +378,9 @@ def _stacked(
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
     lanes, repeats = (lanes, {}) if goals else read_once(configurations, lanes)
-    setting = Setting(model, space, configurations, lanes, uncertain)
-    noise = correlated_noise(setting)
-    problem = CalibrationProblem(model, space, lanes.arrays, newton, noise)
-    return problem, setting, repeats
+    about = {"poses": configurations, "newton": newton, "uncertain": uncertain}
+    problem = Problem(model, space, lanes, **about)
+    return problem.with_noise(correlated_noise(problem)), repeats
 
 
 def as_sequence(
@@ -388,7 +392,7 @@ def as_sequence(
 
 
 def levenberg_marquardt(
-    problem: CalibrationProblem,
+    problem: Problem,
 ) -> tuple[Float[Array, " n_p"], bool]:
     """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
 
@@ -400,7 +404,7 @@ def levenberg_marquardt(
     begin = problem.space.start()
     guess = evaluate(problem, begin).equilibrium.displacement
 
-    def errors(z, problem: CalibrationProblem):
+    def errors(z, problem: Problem):
         model, configurations = problem.at(z)
         newton = problem.newton
         solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
@@ -417,7 +421,7 @@ def levenberg_marquardt(
         errors,
         optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
         begin,
-        args=problem,
+        args=problem.bare,
         options={"jac": "fwd"},
         max_steps=100,
         throw=False,

@@ -16,7 +16,6 @@ from softcal_jax._text import MOST_NAMED, listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
-from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (
     LOWER,
     Ends,
@@ -31,10 +30,10 @@ from softcal_jax.calibration._result import (
     Optimum,
     ParameterInterval,
 )
-from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import WEAK_UP_TO, Parameter, ParameterSpace, asked_errors
 from softcal_jax.inference import EXACT, LinearModel
+from softcal_jax.unknowns import Problem
 
 LEVEL = 0.95
 """Confidence of intervals unless another one is asked for [-]."""
@@ -59,20 +58,19 @@ class Fitted(NamedTuple):
     """A calibration at its end, and what its intervals are computed from."""
 
     result: CalibrationResult
-    problem: CalibrationProblem
-    configurations: tuple[Configuration, ...]
+    problem: Problem
     evaluation: Evaluation
 
     def profile_ends(
         self, level: float, which: Sequence[int], **options: Any
     ) -> list[Ends]:
         """Find how far parameters can move, see the function of this name."""
-        result, problem, poses, evaluation = self
+        result, problem, evaluation = self
         return profile_ends(
             problem,
             result.settings,
             z=result.z,
-            linear=evaluation.linear(problem, poses, result.z),
+            linear=evaluation.linear(problem, result.z),
             rise=result.uncertainty.noise_scale * quantile_of(result, level),
             which=which,
             **options,
@@ -90,14 +88,14 @@ def _first_order_holds(
     have taken one more Gauss-Newton step: the first test sees a valley that bends, the
     second a floor that falls off. One evaluation for each end, all side by side.
     """
-    result, problem, configurations, evaluation = fitted
+    result, problem, evaluation = fitted
     linear = result.linear.of_fit()
 
     def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
-        return end.linear(problem, configurations, z).with_scale(linear.scale)
+        return end.linear(problem, z).with_scale(linear.scale)
 
     sides = [(column, sign) for column in which for sign in (-1, 1)]
-    lanes = len(sides) * len(configurations)
+    lanes = len(sides) * problem.n_fitted
     with Workers(problem.model, max(lanes, 1)) as workers:
         holds = partial(
             _end_holds,
@@ -226,7 +224,7 @@ def _settled(
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
-        problem = without_names(fitted.problem)
+        problem = fitted.problem.numbered
         cost = weighed(problem, other.result.z, other.evaluation.response).cost
         if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break

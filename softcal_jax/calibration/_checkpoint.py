@@ -23,11 +23,11 @@ from softcal_jax._text import listed
 from softcal_jax._typing import HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._evaluation import Evaluation
-from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import CalibrationWarning
-from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import effector_values
+from softcal_jax.unknowns import CorrelatedNoise, Problem
 
 T = TypeVar("T")
 
@@ -138,9 +138,7 @@ def read_checkpoint(
     return content, entries
 
 
-def fingerprint(
-    problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
-) -> str:
+def fingerprint(problem: Problem, settings: CalibrationSettings, search: tuple) -> str:
     """Digest everything that a calibration depends on; `search` holds the rest.
 
     A sparse solver counts by its name and pattern, since it holds a handle that differs
@@ -154,13 +152,13 @@ def fingerprint(
         read = np.stack([np.asarray(compute(lane)) for lane in problem.configurations])
     solver = problem.model.solver
     kind = solver.name, solver.sparsity
-    problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
+    problem = eqx.tree_at(lambda p: p.model.solver, problem.bare, kind)
     arrays, static = eqx.partition(problem, eqx.is_array_like)
     text = eqx.tree_pformat((settings, search, static))  # not repr, which shortens
     return digest_of([*jax.tree.leaves(arrays), read], text)
 
 
-def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
+def marker_rms(problem: Problem, evaluation: Evaluation) -> float:
     """Compute the root mean square of the marker distances, nan without markers [m].
 
     Computed on the host: on the device, each shape of the data would compile programs.
@@ -194,7 +192,7 @@ class Journal:
 
     def __init__(
         self,
-        problem: CalibrationProblem,
+        problem: Problem,
         settings: CalibrationSettings,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,

@@ -13,7 +13,6 @@ from softcal_jax._module import Module, Result
 from softcal_jax._text import MOST_NAMED, listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -36,7 +35,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.inference import UNLIKELY, LinearModel, whitened
 from softcal_jax.mesh import SelfContact, self_contact
 from softcal_jax.sensitivity import Response
-from softcal_jax.unknowns import attachments
+from softcal_jax.unknowns import AnyArray, CorrelatedNoise, attachments
 
 Role = Literal[
     "calibration", "validation", "prediction", "design", "command", "simulation"

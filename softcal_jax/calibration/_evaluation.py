@@ -14,13 +14,8 @@ from softcal_jax._files import digest_of
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    linear_model,
-    without_names,
-)
-from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.calibration._problem import linear_model
+from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Known,
@@ -32,13 +27,14 @@ from softcal_jax.equilibrium import (
     equilibria,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.inference import LinearModel, Whitened
+from softcal_jax.inference import ErrorColumns, LinearModel, Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
     Response,
     energy_compliance,
     equilibrium_response,
 )
+from softcal_jax.unknowns import CorrelatedNoise, Problem
 
 MOST_WITHOUT = 50
 """Newton iterations after which a state without actuation is given up."""
@@ -84,15 +80,20 @@ class Evaluation(Module):
 
     def linear(
         self,
-        problem: CalibrationProblem,
-        configurations: Sequence[Configuration],
+        problem: Problem,
         z: Float[Array, " n_p"],
-        **more: Any,
+        considered: ErrorColumns | None = None,
     ) -> LinearModel:
-        """Make the linear model at z; `more` is handed to `linear_model`."""
-        of_lanes = {"W_ep": self.response.W_ep, "ok": self.response.ok}
-        more |= {**of_lanes, "delta_e": self.delta_e, "rows": self.rows}
-        return linear_model(problem, configurations, z=z, **more)
+        """Make the linear model at z, see the function of this name."""
+        return linear_model(
+            problem,
+            z,
+            W_ep=self.response.W_ep,
+            ok=self.response.ok,
+            delta_e=self.delta_e,
+            rows=self.rows,
+            considered=considered,
+        )
 
 
 @jax.jit
@@ -101,7 +102,7 @@ def _cost(ok, error) -> Float[Array, ""]:
 
 
 def effector_errors(
-    problem: CalibrationProblem, e: Float[Array, "n_c n_rows 3"]
+    problem: Problem, e: Float[Array, "n_c n_rows 3"]
 ) -> Float[Array, "n_c n_rows 3"]:
     """Return Delta_e, simulated minus measured values; 0 where nothing is measured."""
     effectors = problem.configurations.effectors
@@ -110,7 +111,7 @@ def effector_errors(
 
 @eqx.filter_jit
 def weighed(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], response: Response
+    problem: Problem, z: Float[Array, " n_p"], response: Response
 ) -> Evaluation:
     """Weigh the errors and compliances of all lanes, and add those of the priors."""
     delta_e = effector_errors(problem, response.effectors)
@@ -122,7 +123,7 @@ def weighed(
 
 
 @eqx.filter_jit
-def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
+def _posed(problem: Problem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
 
 
@@ -150,16 +151,16 @@ class Evaluator:
         lanes: The configurations.
     """
 
-    def __init__(self, problem: CalibrationProblem, workers: Workers):
+    def __init__(self, problem: Problem, workers: Workers):
         """Split the calibration into what all lanes share, and the lanes."""
         self.problem, self.workers = problem, workers
-        self.numbered = without_names(problem)
+        self.numbered = problem.numbered
         # The number of lanes and what concerns steps alone would each give another
         # program, so both are left out.
         options = {"order": (), "tensor_steps": True, "pin": None}
         options |= {"regions": (), "likeness": None}
         space = replace(self.numbered.space, **options)
-        where = lambda p: (p.configurations, p.space)
+        where = lambda p: (p.lanes.arrays, p.space)
         alone = self.numbered.with_noise(None)
         self.shared = eqx.tree_at(where, alone, (None, space))
         self.lanes = list(problem.configurations)
@@ -387,7 +388,7 @@ class Evaluator:
 
 
 def evaluate(
-    problem: CalibrationProblem,
+    problem: Problem,
     z: Float[Array, " n_p"],
     guess: Float[Array, "n_c n_points 3"] | None = None,
 ) -> Evaluation:
@@ -407,7 +408,7 @@ ROUNDING = 1e-12
 """Change of a coordinate by a unit of lambda_p, over its size, that is rounding [-]."""
 
 
-def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
+def check_sensitive(problem: Problem, first: Evaluation) -> None:
     """Raise ValueError unless a measured coordinate depends on some parameter.
 
     A parameter without effect is no error if others have one: the angle of an axis has
@@ -428,9 +429,7 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
     )
 
 
-def check_cost(
-    problem: CalibrationProblem, first: Evaluation, names: Sequence[str]
-) -> None:
+def check_cost(problem: Problem, first: Evaluation) -> None:
     """Raise ValueError if a standard deviation is so small that the cost overflows."""
     error = np.asarray(first.rows.error)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -441,6 +440,6 @@ def check_cost(
     raise ValueError(
         "the cost at the start is not finite, since an error is too large beside its "
         f"standard deviation: the smallest is {1.0 / np.max(weight):.3g} in SI units, "
-        f"in configuration {names[c]!r}. Check the `std` of effectors and priors, and "
-        "their units."
+        f"in configuration {problem.names[c]!r}. Check the `std` of effectors and "
+        "priors, and their units."
     )

@@ -1,6 +1,6 @@
 """One fit, stage by stage: start, search, descend, predict, judge.
 
-    Task -> Batch -> Start -> Weighed -> Predicted -> result
+    Problem -> Start -> Weighed -> Predicted -> result
 
 The result is judged twice: by the noise alone, which is the answer so far, and with the
 errors of everything that is held fixed.
@@ -28,7 +28,6 @@ from softcal_jax.calibration._evaluation import (
     check_sensitive,
     effector_errors,
 )
-from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
 from softcal_jax.calibration._notes import (
     ResidualChecks,
     fit_notes,
@@ -36,7 +35,7 @@ from softcal_jax.calibration._notes import (
     result_notes,
 )
 from softcal_jax.calibration._prediction import Predicted, predict
-from softcal_jax.calibration._problem import Batch, Task
+from softcal_jax.calibration._problem import FitOptions
 from softcal_jax.calibration._result import (
     CalibrationResult,
     MultiStartResult,
@@ -64,7 +63,13 @@ from softcal_jax.inference import (
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.unknowns import Setting, compile_considered, considered_errors
+from softcal_jax.unknowns import (
+    CorrelatedNoise,
+    Problem,
+    compile_considered,
+    considered_errors,
+    independent_recordings,
+)
 
 BUDGET, INTERVALS = "the error budget", "the intervals"  # come after the answer so far
 
@@ -91,6 +96,7 @@ class Resume(NamedTuple):
 class _Solved(NamedTuple):
     """A fit and its predictions, before they are judged."""
 
+    options: FitOptions
     start: Start
     search: MultiStartResult | None
     weighed: Weighed
@@ -99,124 +105,120 @@ class _Solved(NamedTuple):
     clock: Clock
 
 
-def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) -> Fitted:
+def fit(
+    problem: Problem, options: FitOptions, watch: Watch, resume: Resume | None = None
+) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
     # A checkpoint is of one set of starts and one noise.
-    given = () if task.start is None else tuple(task.start.tolist())
-    mark = (task.starts, task.seed, *given, task.noise, *task.uncertain.estimated)
+    first = () if options.start is None else tuple(options.start.tolist())
+    estimated = problem.uncertain.estimated
+    mark = (options.starts, options.seed, *first, options.noise, *estimated)
+    fitted = problem.fitted
     journal = Journal(
-        batch.fitted,
-        task.settings,
+        fitted,
+        options.settings,
         watch.checkpoint,
         watch.progress,
         search=mark,
         history=() if resume is None else resume.history,
     )
-    most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
-    with journal, Clock() as clock, Workers(task.model, most) as workers:
-        start = _start(task, watch, batch, workers)
-        place, search = _place(task, watch, start, journal, resume)
-        weighed = _descended(task, start, place, journal)
-        setting, z = batch.setting, weighed.state.z
+    most = options.starts * max(problem.n_fitted, 2 * problem.n_held_out)
+    with journal, Clock() as clock, Workers(problem.model, most) as workers:
+        start = _start(fitted, options, watch, workers)
+        place, search = _place(options, watch, start, journal, resume)
+        weighed = _descended(options, start, place, journal)
+        z = weighed.state.z
         if not journal.interrupted:
-            compile_considered(workers, setting, z)
-        held_out = tuple(c.name for c in task.held_out)
+            compile_considered(workers, problem, z)
+        held_out = problem.names[problem.n_fitted :]
         if held_out:
             watch.stage(f"predicting {', '.join(held_out)}")
         report = reports_of(watch.equilibrium_progress, held_out)
-        predicted = predict(task, batch, start, weighed, report)
+        predicted = predict(problem, start, weighed, report)
         journal.interrupted |= predicted.interrupted
-        solved = _Solved(start, search, weighed, predicted, journal, clock)
-        lanes = setting.lanes._replace(arrays=predicted.problem.configurations)
-        setting = setting._replace(lanes=lanes)
-        open_ = (BUDGET,) if task.intervals is None else (BUDGET, INTERVALS)
-        so_far = cache(lambda: replace(_result(task, solved), left_out=open_))
+        solved = _Solved(options, start, search, weighed, predicted, journal, clock)
+        open_ = (BUDGET,) if options.intervals is None else (BUDGET, INTERVALS)
+        so_far = cache(lambda: replace(_result(solved), left_out=open_))
         if watch.answer is not None:
             watch.answer(so_far())
         if journal.interrupted:
             result = so_far()
         else:
-            result = _with_budget(task, watch, solved, setting, workers, so_far)
-    problem = batch.fitted.with_noise(weighed.noise)
-    result = replace(result, repeated=batch.repeated)
-    return Fitted(result, problem, task.fitted, weighed.state.evaluation)
+            result = _with_budget(watch, solved, workers, so_far)
+    return Fitted(result, fitted.with_noise(weighed.noise), weighed.state.evaluation)
 
 
 def _with_budget(
-    task: Task,
     watch: Watch,
     solved: _Solved,
-    setting: Setting,
     workers: Workers,
     so_far: Callable[[], CalibrationResult],
 ) -> CalibrationResult:
     """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
-    taken, n_fitted = solved.journal.history[-1].seconds, len(task.fitted)
+    taken, problem = solved.journal.history[-1].seconds, solved.predicted.problem
     z, solution = solved.weighed.state.z, solved.predicted.response.equilibrium
     try:
         watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-        evaluate = Evaluator(solved.predicted.problem, workers)
         considered = considered_errors(
             workers,
-            setting,
+            problem,
             z=z,
             equilibrium=solution,
-            without_forces=evaluate.without_forces(z, solution),
-            n_fitted=n_fitted,
+            without_forces=Evaluator(problem, workers).without_forces(z, solution),
         )
-        return _result(task, solved, considered)
+        return _result(solved, considered)
     except KeyboardInterrupt:
         notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
         return replace(so_far(), notes=notes, interrupted=True)
 
 
 def _judged(
-    task: Task, weighed: Weighed, predicted: Predicted, considered: ErrorColumns | None
+    solved: _Solved, considered: ErrorColumns | None
 ) -> tuple[LinearModel, Uncertainty, ResidualChecks]:
     """Make the linear model of all configurations at the optimum, and judge by it."""
+    options, weighed, predicted = solved.options, solved.weighed, solved.predicted
+    problem, z, n = predicted.problem, weighed.state.z, predicted.problem.n_fitted
     whole = replace(
         weighed.state.evaluation,
         response=predicted.response,
-        delta_e=effector_errors(predicted.problem, predicted.response.effectors),
+        delta_e=effector_errors(problem, predicted.response.effectors),
     )
-    more = {"n_fitted": len(task.fitted), "considered": considered}
-    poses, z = task.configurations, weighed.state.z
-    linear = whole.linear(predicted.problem, poses, z, **more)
-    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
+    linear = whole.linear(problem, z, considered=considered)
+    spread = uncertainty(linear.with_scale(1.0), options.noise, weighed.scale)
     scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
     linear = linear.with_scale(scale)
     checks = residual_checks(
         linear.of_fit(),
-        task.fitted,
-        effectors=predicted.problem.of_first(len(task.fitted)).configurations.effectors,
+        problem.poses[:n],
+        effectors=problem.fitted.configurations.effectors,
         spread=spread,
-        fits=predicted.fits[: len(task.fitted)],
+        fits=predicted.fits[:n],
     )
     # A held-out configuration of a recording that is fitted, too, is no witness.
-    names, n = independent_recordings(poses), len(task.fitted)
+    names = independent_recordings(problem.poses)
     witnesses = [*names[:n], *(None if k in names[:n] else k for k in names[n:])]
-    asked = asked_errors(task.space, z, model=predicted.model)
-    more = {"space": task.space, "z": z, "asked": asked, "spread": spread}
+    asked = asked_errors(problem.space, z, model=predicted.model)
+    more = {"space": problem.space, "z": z, "asked": asked, "spread": spread}
     recordings = recording_estimates(linear, witnesses, **more)
     return linear, spread, replace(checks, recordings=recordings)
 
 
 def _result(
-    task: Task, solved: _Solved, considered: ErrorColumns | None = None
+    solved: _Solved, considered: ErrorColumns | None = None
 ) -> CalibrationResult:
     """Make the result of a fit, judged by its linear model at the optimum."""
-    start, search, weighed, predicted, journal, clock = solved
-    state, space, z = weighed.state, task.space, weighed.state.z
-    linear, spread, checks = _judged(task, weighed, predicted, considered)
+    options, start, search, weighed, predicted, journal, clock = solved
+    state, problem = weighed.state, predicted.problem
+    space, z = problem.space, state.z
+    linear, spread, checks = _judged(solved, considered)
     fits = predicted.fits
-    if task.noise == "stated":
+    if options.noise == "stated":
         fits = tuple(fit.with_considered(linear) for fit in fits)
     known = bool(np.isfinite(spread.noise_scale))
-    more = {"noise_is_known": known, "uncertain": task.uncertain}
+    more = {"noise_is_known": known, "uncertain": problem.uncertain}
     budget = error_budget(linear.of_fit(), space, z, **more)
-    problem = predicted.problem.of_first(len(task.fitted))
-    notes = result_notes(problem, predicted.fits, z, spread)
-    first = start.z if start.notes else task.start
+    notes = result_notes(problem.fitted, predicted.fits, z, spread)
+    first = start.z if start.notes else options.start
     return CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(space, spread, budget, first),
@@ -228,50 +230,56 @@ def _result(
         model=predicted.model,
         z=z,
         linear=linear,
-        settings=task.settings,
-        newton=task.newton,
+        settings=options.settings,
+        newton=problem.newton,
         noise=weighed.noise,
         noise_settled=weighed.settled,
         checks=checks,
         timing_s=clock.seconds,
         notes=(*start.notes, *weighed.notes, *predicted.notes, *notes),
         starts=search,
-        precision=task.precision,
+        precision=options.precision,
         interrupted=journal.interrupted,
     )
 
 
-def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
+def _start(
+    problem: Problem, options: FitOptions, watch: Watch, workers: Workers
+) -> Start:
     """Solve the first equilibria, with moduli raised where there are none."""
-    z = task.space.start() if task.start is None else task.start
-    if z.shape != (len(task.space.names),):
+    space = problem.space
+    z = space.start() if options.start is None else options.start
+    if z.shape != (len(space.names),):
         raise ValueError(
-            f"start must have one scaled value for each of the {len(task.space.names)} "
+            f"start must have one scaled value for each of the {len(space.names)} "
             f"parameters, got shape {z.shape}."
         )
-    first = admissible(task.space.numbered, z)
-    names = tuple(c.name for c in task.fitted)
-    evaluate = Evaluator(batch.fitted, workers)
-    start = begin(evaluate, first, names, watch.equilibrium_progress, watch.stage)
+    first = admissible(space.numbered, z)
+    evaluate = Evaluator(problem, workers)
+    start = begin(evaluate, first, watch.equilibrium_progress, watch.stage)
     read = start.evaluation.response
-    records = batch.setting.lanes.effectors
-    check_numbers(names, records, read.effectors, read.W_ep)
-    check_cost(batch.fitted, start.evaluation, names)
-    check_sensitive(batch.fitted, start.evaluation)
+    check_numbers(problem.names, problem.records, read.effectors, read.W_ep)
+    check_cost(problem, start.evaluation)
+    check_sensitive(problem, start.evaluation)
     return start
 
 
 def _place(
-    task: Task, watch: Watch, start: Start, journal: Journal, resume: Resume | None
+    options: FitOptions,
+    watch: Watch,
+    start: Start,
+    journal: Journal,
+    resume: Resume | None,
 ) -> tuple[Start, MultiStartResult | None]:
     """Return where the steps begin: after a search, where one is asked for."""
     evaluate = start.evaluate
     if resume is not None:
         evaluate = evaluate.with_noise(resume.noise)
         return Start(evaluate, resume.z, evaluate.from_rest(resume.z), ()), None
-    if task.starts == 1:
+    if options.starts == 1:
         return start, None
-    others = random_starts(task.space, task.starts - 1, seed=task.seed)
+    space = evaluate.problem.space
+    others = random_starts(space, options.starts - 1, seed=options.seed)
     runs = search(
         evaluate,
         FROM_ANYWHERE,
@@ -285,26 +293,28 @@ def _place(
     return Start(evaluate, z, evaluate.from_rest(z), ()), runs
 
 
-def _descended(task: Task, start: Start, place: Start, journal: Journal) -> Weighed:
+def _descended(
+    options: FitOptions, start: Start, place: Start, journal: Journal
+) -> Weighed:
     """Take steps to the optimum, or to an interruption, and weigh the data."""
-    first = initial_state(task.settings, place.z, place.evaluation)
+    settings, problem = options.settings, start.evaluate.problem
+    first = initial_state(settings, place.z, place.evaluation)
     state, noise = journal.begin(first, place.noise)
-    shares = np.array([c.relative_std == "estimated" for c in task.fitted])
-    offset = bool(task.uncertain.estimated)
-    sought = SoughtNoise(task.noise == "estimated", offset, shares)
+    shares = np.array([c.relative_std == "estimated" for c in problem.poses])
+    offset = bool(problem.uncertain.estimated)
+    sought = SoughtNoise(options.noise == "estimated", offset, shares)
     try:
         if journal.interrupted:  # in the search
             raise KeyboardInterrupt
         weighed = weighed_fit(
             start.evaluate.with_noise(noise),
-            task.settings,
+            settings,
             state,
-            configurations=task.fitted,
             sought=sought,
             motion=np.asarray(start.noise.motion),
             note=journal.note,
         )
-        of_steps = fit_notes(weighed.state, task.settings)
+        of_steps = fit_notes(weighed.state, settings)
     except KeyboardInterrupt:
         journal.interrupted, of_steps = True, []
         weighed = Weighed(*journal.last, sought, (journal.interruption,))

@@ -12,11 +12,7 @@ from softcal_jax._text import MOST_NAMED, SoftcalWarning, listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration._configuration_result import ConfigurationResult, off_by
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    CalibrationSettings,
-    n_measured,
-)
+from softcal_jax.calibration._problem import CalibrationSettings, n_measured
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
 from softcal_jax.contact import Contacts
@@ -36,6 +32,7 @@ from softcal_jax.inference import (
     lack_of_fit,
     predicted_by_others,
 )
+from softcal_jax.unknowns import Problem
 
 FEWEST = 3  # fewest configurations of which one is left out and predicted by the others
 
@@ -242,7 +239,7 @@ class CalibrationWarning(SoftcalWarning):
 
 
 def result_notes(
-    problem: CalibrationProblem,
+    problem: Problem,
     fits: Sequence[ConfigurationResult],
     z: Float[Array, " n_p"],
     spread: Uncertainty,
@@ -310,7 +307,7 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
     ]
 
 
-def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
+def uncertainty_notes(problem: Problem, spread: Uncertainty) -> list[str]:
     """Say which standard errors are missing, and what the others rest on."""
     dof = spread.degrees_of_freedom
     names, std = np.array(problem.space.names), np.sqrt(np.diag(spread.covariance))
@@ -354,7 +351,7 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
             )
 
 
-def warn_if_too_few_data(problem: CalibrationProblem) -> None:
+def warn_if_too_few_data(problem: Problem) -> None:
     """Warn if there are fewer measured coordinates than parameters."""
     measured = n_measured(problem)
     # A prior counts as a measurement of its parameter.

@@ -17,19 +17,19 @@ from softcal_jax.calibration._configuration_result import (
     displaced,
 )
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._problem import Batch, CalibrationProblem, Task
 from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._weighing import Weighed
 from softcal_jax.equilibrium import EquilibriumSolution, Model, Report, other_ways
 from softcal_jax.fields import SetupParameter
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import Problem
 
 
 class Predicted(NamedTuple):
     """Model and configurations with the calibrated parameters, and their noise."""
 
     model: Model
-    problem: CalibrationProblem
+    problem: Problem
     response: Response
     fits: tuple[ConfigurationResult, ...]
     notes: tuple[str, ...]
@@ -37,34 +37,33 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    task: Task, batch: Batch, start: Start, weighed: Weighed, report: Report | None
+    problem: Problem, start: Start, weighed: Weighed, report: Report | None
 ) -> Predicted:
     """Describe all configurations at the optimum; solve those that were held out.
 
     `report` is called as `equilibria` calls it, for the parameters at the end.
     """
-    z, everything = weighed.state.z, batch.everything
-    evaluate = Evaluator(everything, start.evaluate.workers)
+    z, evaluate = weighed.state.z, Evaluator(problem, start.evaluate.workers)
     first = _AllLanes(evaluate, start.z, start.evaluation.response, {}, {})
     last = _AllLanes(evaluate, z, weighed.state.evaluation.response, {}, {})
-    notes, interrupted = _solve_held_out(task, first, last, report)
+    notes, interrupted = _solve_held_out(problem, first, last, report)
     # A pose without an equilibrium at the start parameters has no "before".
     begun, response = first.response(), last.response()
     held = np.asarray(begun.equilibrium.converged)[:, None, None]
-    assert everything.noise is not None
-    noise = weighed.of_all(everything.noise, task.configurations)
-    model, arrays = everything.at(z)
-    lanes = batch.setting.lanes._replace(arrays=arrays)
+    assert problem.noise is not None
+    noise = weighed.of_all(problem.noise, problem.poses)
+    model, arrays = problem.at(z)
+    lanes = problem.lanes._replace(arrays=arrays)
     fits = configuration_results(
         model,
-        task.configurations,
-        displaced(task.configurations, lanes, weighed.state.evaluation.delta_e),
-        n_fitted=len(task.fitted),
+        problem.poses,
+        displaced(problem.poses, lanes, weighed.state.evaluation.delta_e),
+        n_fitted=problem.n_fitted,
         before=np.where(held, np.asarray(begun.effectors), np.nan),
         response=response,
         noise=noise,
     )
-    problem = everything.with_noise(noise)
+    problem = problem.with_noise(noise)
     return Predicted(model, problem, response, fits, tuple(notes), interrupted)
 
 
@@ -121,7 +120,7 @@ class _AllLanes(NamedTuple):
 
 
 def _solve_held_out(
-    task: Task, first: _AllLanes, last: _AllLanes, report: Report | None
+    problem: Problem, first: _AllLanes, last: _AllLanes, report: Report | None
 ) -> tuple[list[str], bool]:
     """Solve held-out configurations with the parameters at the end and at the start.
 
@@ -130,7 +129,8 @@ def _solve_held_out(
     cuts off. Returns the notes, and whether Ctrl-C ended it.
     """
     interrupted = False
-    lanes = range(len(task.fitted), len(task.configurations))
+    lanes = range(problem.n_fitted, len(problem.poses))
+    held_out = problem.poses[problem.n_fitted :]
     if not lanes:
         return [], False
     try:
@@ -142,7 +142,7 @@ def _solve_held_out(
     except KeyboardInterrupt:
         interrupted = True
     notes = []
-    for lane, pose in zip(lanes, task.held_out, strict=True):
+    for lane, pose in zip(lanes, held_out, strict=True):
         if lane not in last.solved:
             notes.append(f"{pose.name} is not predicted: this was interrupted.")
         elif not last.solved[lane].converged:
@@ -153,9 +153,9 @@ def _solve_held_out(
     notes += [
         f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
         "fitted have of their own: it counts as stated."
-        for entry in task.space.entries
+        for entry in problem.space.entries
         if isinstance(entry, SetupParameter) and entry.each
-        for c in task.held_out
+        for c in held_out
         if entry.member(c) not in entry.each
     ]
     return notes, interrupted

@@ -1,39 +1,19 @@
-"""A calibration as arrays: its lanes, and its linear model."""
+"""What a calibration is asked for, what it can learn, and its linear model."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, key
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
-from softcal_jax.configurations import Configuration, ConfigurationArrays
-from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import (
-    KINDS,
-    AbstractFieldEntry,
-    ParameterSpace,
-    SetupParameter,
-    Uncertain,
-    kind_of,
-)
-from softcal_jax.inference import (
-    ErrorColumns,
-    LinearModel,
-    Whitened,
-    no_errors,
-    span,
-    whitened_rows,
-)
-from softcal_jax.unknowns import Setting, held_nodes
+from softcal_jax.fields import KINDS, AbstractFieldEntry, SetupParameter, kind_of
+from softcal_jax.inference import ErrorColumns, LinearModel, Whitened, no_errors, span
+from softcal_jax.unknowns import Problem, held_nodes, noise_columns
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
@@ -95,86 +75,7 @@ class CalibrationSettings(Module):
             )
 
 
-class CalibrationProblem(Module):
-    """Model, parameters and a batch of configurations that share them.
-
-    Without a `noise` the errors are independent, with the standard deviations of the
-    effectors. With `deviations` each configuration is of a specimen of its own, whose
-    scaled parameters are z plus its row.
-    """
-
-    model: Model
-    space: ParameterSpace
-    configurations: ConfigurationArrays
-    newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
-    noise: CorrelatedNoise | None = None
-    deviations: Float[Array, "n_c n_p"] | None = None
-
-    def at(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
-        """Return model and configurations with scaled parameters set [-]."""
-        model, configurations = self.space.model_at(self.model, z), self.configurations
-        if not all(self.space.sets_fields):
-            apply = lambda c: self.space.apply(self.model, c, z)[1]
-            configurations = jax.vmap(apply)(configurations)
-        return model, configurations
-
-    def rows(
-        self,
-        z: Float[Array, " n_p"],
-        delta_e: Float[Array, "n_c n_rows 3"],
-        compliance: Float[Array, "n_e n_p"],
-    ) -> Whitened:
-        """Return whitened errors and their derivatives, then those of the priors.
-
-        The QP of Eq. (10) minimises these rows; the compliance is W_ep. Differences of
-        neighbours, where they count, stand before the priors.
-        """
-        effectors = self.configurations.effectors
-        weight = jnp.ravel(jnp.asarray(effectors.inverse_std))
-        columns = jnp.zeros((weight.size, 0))
-        if self.noise is not None:
-            columns = jnp.asarray(self.noise.columns(effectors))
-        distances = self.space.from_prior(z)
-        prior = jnp.diag(self.space.prior_weights())
-        if self.space.likeness is not None:
-            differences, A = self.space.likeness.rows(z)
-            distances = jnp.concatenate([differences, distances])
-            prior = jnp.concatenate([A, prior])
-        return whitened_rows(
-            columns,
-            error=weight * jnp.ravel(delta_e),
-            W=weight[:, None] * compliance,
-            from_prior=jnp.asarray(self.level) * distances,
-            prior_rows=jnp.asarray(self.level) * prior,
-        )
-
-    @property
-    def level(self) -> Float[Array | HostArray, ""] | float:
-        """Standard deviation of the errors in `rows`, over the stated one [-].
-
-        Rows that are added to these errors must be multiplied by it.
-        """
-        return 1.0 if self.noise is None else self.noise.jitter
-
-    def of_first(self, n: int) -> "CalibrationProblem":
-        """Return the calibration to the first few configurations."""
-        noise, some = self.noise, lane_of(self.configurations, slice(n))
-        off = None if self.deviations is None else self.deviations[:n]
-        noise = noise and noise.of_first(n)
-        return replace(self, configurations=some, noise=noise, deviations=off)
-
-    def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
-        """Return the calibration with another noise."""
-        return replace(self, noise=noise)
-
-
-def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration without names and settings that would compile programs."""
-    space, newton = problem.space.numbered, problem.newton.as_arrays()
-    return replace(problem, space=space, newton=newton)
-
-
-def n_measured(problem: CalibrationProblem) -> int:
+def n_measured(problem: Problem) -> int:
     """Return the number of measured coordinates, less those used up by attachments."""
     effectors, noise = problem.configurations.effectors, problem.noise
     n = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
@@ -184,15 +85,13 @@ def n_measured(problem: CalibrationProblem) -> int:
 
 
 def linear_model(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    *,
+    problem: Problem,
     z: Float[Array, " n_p"],
+    *,
     W_ep: Float[Array | HostArray, "n_c n_e n_p"],
     ok: Sequence[bool] | Bool[Array, " n_c"],
     delta_e: Float[Array | HostArray, "n_c n_rows 3"],
     rows: Whitened | None = None,
-    n_fitted: int | None = None,
     considered: ErrorColumns | None = None,
 ) -> LinearModel:
     """Make the linear model of measured coordinates, in stated standard deviations.
@@ -200,29 +99,28 @@ def linear_model(
     The problem must have the noise that weighed its data. Rows of a held-out
     configuration that is not `ok`, for want of an equilibrium or of a regular tangent,
     are left out. The last `rows` of a fit are distances from the priors; give none if
-    nothing was fitted. The first `n_fitted` configurations were fitted, by default all.
+    nothing was fitted.
     """
-    space, n_c, level = problem.space, len(configurations), float(problem.level)
+    space, n_c, level = problem.space, len(problem.poses), float(problem.level)
     from_prior = np.zeros(len(space.names))
     if rows is not None:
         from_prior = np.asarray(rows.error)[-len(from_prior) :] / level
-    n_fitted = n_c if n_fitted is None else n_fitted
     effectors = problem.configurations.effectors
     weight = np.asarray(effectors.inverse_std)
     considered = no_errors(weight.size) if considered is None else considered
     finite = np.isfinite(considered.values).all(axis=1).reshape(n_c, -1).all(axis=1)
     regular = np.asarray(ok) & finite
-    used = regular | (np.arange(n_c) < n_fitted)
+    used = regular | (np.arange(n_c) < problem.n_fitted)
     measured = ((weight > 0.0) & used[:, None, None]).ravel()
     pose = np.repeat(np.arange(n_c), weight[0].size)
     whole = LinearModel(
         names=tuple(space.names),
-        poses=tuple(c.name for c in configurations),
+        poses=problem.names,
         pose=pose,
-        fitted=pose < n_fitted,
+        fitted=pose < problem.n_fitted,
         r=np.ravel(weight * np.asarray(delta_e)),
         W=weight.reshape(-1, 1) * np.concatenate(np.asarray(W_ep)),
-        correlated=noise_columns(problem.noise, effectors, configurations),
+        correlated=noise_columns(problem.noise, effectors, problem.poses),
         considered=considered,
         scale=level,
         from_prior=from_prior,
@@ -232,7 +130,7 @@ def linear_model(
     return whole.only(measured)
 
 
-def check_effects(problem: CalibrationProblem) -> None:
+def check_effects(problem: Problem) -> None:
     """Raise ValueError if nothing that is measured can depend on a parameter.
 
     What only an equilibrium can show is left to `check_sensitive`.
@@ -254,7 +152,7 @@ def check_effects(problem: CalibrationProblem) -> None:
             )
 
 
-def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
+def _missing(problem: Problem, entry, arrays, held) -> str:
     """Say why no configuration depends on an entry; empty if one may."""
     if isinstance(entry, AbstractFieldEntry):
         mesh, region = problem.model.mesh, entry.region
@@ -273,38 +171,13 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
     return ""
 
 
-class Task(NamedTuple):
-    """What is to be calibrated, and how: the arguments of `calibrate`."""
+class FitOptions(NamedTuple):
+    """How a problem is fitted and judged: arguments of `calibrate`."""
 
-    model: Model
-    space: ParameterSpace
-    fitted: tuple[Configuration, ...]
-    held_out: tuple[Configuration, ...]
     noise: Literal["estimated", "stated"]
-    uncertain: Uncertain
     settings: CalibrationSettings
-    newton: NewtonSettings
     precision: float
     starts: int
     seed: int
     start: Float[Array, " n_p"] | None
-    deviations: Float[Array, "n_c n_p"] | None
-    goals: bool
     intervals: float | None
-
-    @property
-    def configurations(self) -> tuple[Configuration, ...]:
-        """All configurations, the fitted ones first."""
-        return (*self.fitted, *self.held_out)
-
-
-class Batch(NamedTuple):
-    """All configurations as arrays, and the calibration to those that are fitted.
-
-    `repeated` says which readings stand in several configurations, if any do.
-    """
-
-    everything: CalibrationProblem
-    fitted: CalibrationProblem
-    setting: Setting
-    repeated: str

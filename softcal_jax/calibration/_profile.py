@@ -11,13 +11,14 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._result import IntervalEnd
 from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
 from softcal_jax.inference import LinearModel
+from softcal_jax.unknowns import Problem
 
 FIRM = 10.0
 """Precision of the pin of a held parameter, relative to that of the data [-].
@@ -98,7 +99,7 @@ class LowerCostFound(RuntimeError):
 
 
 def profile_ends(
-    problem: CalibrationProblem,
+    problem: Problem,
     settings: CalibrationSettings,
     *,
     z: Float[Array, " n_p"],
@@ -417,7 +418,7 @@ def room_beside(
 
 
 @eqx.filter_jit
-def _without_pin(problem: CalibrationProblem, pin: Pin, z, cost):
+def _without_pin(problem: Problem, pin: Pin, z, cost):
     """Return how far a parameter is from its pin, and the cost without the pin."""
     space = problem.space
     middle = space.start().at[pin.column].set(pin.value)

@@ -16,7 +16,6 @@ from softcal_jax.calibration._configuration_result import (
     off_by,
     omitted,
 )
-from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks, contact_doubts
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import best_of
@@ -32,6 +31,7 @@ from softcal_jax.inference import (
     Uncertainty,
     chance,
 )
+from softcal_jax.unknowns import CorrelatedNoise
 
 SKEWED = 1.8
 """Ratio of the halves of an interval from which on no value +- error is shown [-].

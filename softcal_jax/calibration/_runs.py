@@ -13,7 +13,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._step import (
     CalibrationState,
     decide,
@@ -21,6 +21,7 @@ from softcal_jax.calibration._step import (
     propose,
 )
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.unknowns import Problem
 
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
@@ -218,7 +219,7 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     ]
 
 
-def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
+def wanted(problem: Problem, best: Run, image: Image) -> bool:
     """Return whether an image is worth a run."""
     # A start without equilibrium has no end to continue from.
     lost = np.isinf(best.cost) and best.steps > 0

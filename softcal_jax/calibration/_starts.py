@@ -15,8 +15,7 @@ from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal, from_scaled, marker_rms
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
-from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
     Basin,
@@ -36,6 +35,7 @@ from softcal_jax.equilibrium import (
     reports_of,
 )
 from softcal_jax.fields import ParameterSpace, kind_of, random_starts
+from softcal_jax.unknowns import CorrelatedNoise, Problem
 
 STIFFER = 2.0
 """Factor by which moduli are raised until all configurations have an equilibrium."""
@@ -74,7 +74,6 @@ class Start(NamedTuple):
 def begin(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
-    names: tuple[str, ...],
     progress: Callable[[EquilibriumProgress], None] | None = None,
     stage: Callable[[str], None] = lambda _: None,
 ) -> Start:
@@ -85,6 +84,7 @@ def begin(
     within the bounds, the text of the error says what was reached.
     """
     problem, raised, factor = evaluate.problem, z, 1.0
+    names = problem.names
     report = partial(reports_of, progress, names)
     solved = partial(stage, "how the poses depend on the parameters")
     first = evaluate.from_rest(z, report(), solved)
@@ -114,14 +114,14 @@ def begin(
     )
 
 
-def _moduli(problem: CalibrationProblem) -> Bool[HostArray, " n_p"]:
+def _moduli(problem: Problem) -> Bool[HostArray, " n_p"]:
     """Flag the moduli: fields on a log scale that need no load to have an effect."""
     acts_alone = lambda q: not kind_of(problem.model, q.field).acts_by
     each = zip(problem.space.sets_fields, problem.space.parameters, strict=True)
     return np.array([sets and q.scale == "log" and acts_alone(q) for sets, q in each])
 
 
-def _values(problem: CalibrationProblem, z: Float[Array, " n_p"]) -> str:
+def _values(problem: Problem, z: Float[Array, " n_p"]) -> str:
     """Write the moduli, with their units."""
     space, moduli = problem.space, _moduli(problem)
     values = zip(space.parameters, space.from_scaled(z), moduli, strict=True)
@@ -164,7 +164,7 @@ class SearchProgress(NamedTuple):
 
 
 def multi_start(
-    problem: CalibrationProblem,
+    problem: Problem,
     starts: int | Float[Array, "n_starts n_p"] = 30,
     *,
     seed: int = 0,

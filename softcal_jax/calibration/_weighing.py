@@ -16,7 +16,6 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, weighed
-from softcal_jax.calibration._noise import RECORDINGS, AnyArray, CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import CalibrationState, initial_state
@@ -30,7 +29,13 @@ from softcal_jax.inference import (
     restricted_likelihood,
     span,
 )
-from softcal_jax.unknowns import FIRST_SHARE, creep_of
+from softcal_jax.unknowns import (
+    FIRST_SHARE,
+    RECORDINGS,
+    AnyArray,
+    CorrelatedNoise,
+    creep_of,
+)
 
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
@@ -101,7 +106,6 @@ def weighed_fit(
     settings: CalibrationSettings,
     state: CalibrationState,
     *,
-    configurations: Sequence[Configuration],
     sought: SoughtNoise,
     motion: Float[HostArray, "n_c n_rows 3"],
     note: Callable[[CalibrationState, CorrelatedNoise], None],
@@ -113,6 +117,7 @@ def weighed_fit(
     """
     assert evaluate.problem.noise is not None
     noise: CorrelatedNoise = evaluate.problem.noise
+    configurations = evaluate.problem.poses
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
     is_point = (np.arange(motion.shape[1]) < n_points)[:, None]
     scale, notes, settled, change = None, [], True, 0.0
@@ -120,7 +125,7 @@ def weighed_fit(
         state = _until(UNSEEN, evaluate, settings, state, note)
         if not state.converged:
             break
-        linear = state.evaluation.linear(evaluate.problem, configurations, state.z)
+        linear = state.evaluation.linear(evaluate.problem, state.z)
         if n == 0:
             sought, notes = _enough(linear, sought, configurations)
         new = _estimated(linear, noise, sought, configurations)

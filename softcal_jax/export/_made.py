@@ -22,7 +22,6 @@ from softcal_jax._units import QUANTITIES
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    CorrelatedNoise,
     HistoryEntry,
     LeftOut,
     MultiStartResult,
@@ -35,6 +34,7 @@ from softcal_jax.equilibrium import BodyPlace, Model, RobotState
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import Uncertainty
 from softcal_jax.layouts import FoldScore, ModelScore, PairedDifference
+from softcal_jax.unknowns import CorrelatedNoise
 
 KEYS: dict[type, str] = {
     CalibrationResult: "converged parameters intervals configurations history "

@@ -12,14 +12,7 @@ from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    Evaluator,
-    as_sequence,
-    check_references,
-    correlated_noise,
-    linear_model,
-)
+from softcal_jax.calibration import Evaluator, as_sequence, linear_model
 from softcal_jax.configurations import (
     Configuration,
     check_numbers,
@@ -57,7 +50,13 @@ from softcal_jax.identifiability._result import (
     verdict,
 )
 from softcal_jax.inference import ANY_ANGLE, LinearModel, error_budget, independent
-from softcal_jax.unknowns import Setting, compile_considered, considered_errors
+from softcal_jax.unknowns import (
+    Problem,
+    check_references,
+    compile_considered,
+    considered_errors,
+    correlated_noise,
+)
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
@@ -277,11 +276,17 @@ def survey(
         lanes = lanes._replace(arrays=weighed)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     newton, uncertain = newton or NewtonSettings(), uncertain or Uncertain()
-    problem = CalibrationProblem(model, space, lanes.arrays, newton)
+    problem = Problem(
+        model,
+        space,
+        lanes,
+        poses=configurations,
+        uncertain=uncertain,
+        newton=newton,
+    )
     required = len(names) if required is None else required
-    setting = Setting(model, space, configurations, lanes, uncertain)
     with Workers(model, len(names)) as workers:
-        compile_considered(workers, setting, z)
+        compile_considered(workers, problem, z)
         evaluator = Evaluator(problem, workers)
         solution = evaluator.equilibria(z, reports_of(progress, names))
         moved = evaluator.effectors(z, solution)
@@ -290,11 +295,10 @@ def survey(
         compliance = evaluator.energy_compliances(z, solution.displacement)
         considered = considered_errors(
             workers,
-            setting,
+            problem,
             z=z,
             equilibrium=solution,
             without_forces=evaluator.without_forces(z, solution),
-            n_fitted=len(names),
         )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
@@ -310,16 +314,14 @@ def survey(
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
         for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     )
-    moving = lanes._replace(effectors=records)
-    correlated = correlated_noise(setting._replace(lanes=moving))
+    moving = replace(problem, lanes=lanes._replace(effectors=records))
+    noisy = problem.with_noise(correlated_noise(moving))
     linear = linear_model(
-        problem.with_noise(correlated),
-        configurations,
-        z=z,
+        replace(noisy, n_held_out=len(names) - required),
+        z,
         W_ep=compliance.W_ep,
         ok=[not failure for failure in failures],
         delta_e=np.zeros(weight.shape),
-        n_fitted=required,
         considered=considered,
     )
     seen = (weight > 0.0) & (np.array(failures) == "")[:, None, None]

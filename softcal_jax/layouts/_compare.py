@@ -16,7 +16,6 @@ import numpy as np
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     Begun,
-    CalibrationProblem,
     CalibrationSettings,
     Evaluation,
     Evaluator,
@@ -46,6 +45,7 @@ from softcal_jax.layouts._model_comparison import (
     ModelScore,
     root_mean_square,
 )
+from softcal_jax.unknowns import Problem
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
 """Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
@@ -78,9 +78,7 @@ class _Fit(NamedTuple):
         return "no equilibrium with the fitted parameters"
 
 
-def _fold_problem(
-    problem: CalibrationProblem, fitted: Bool[HostArray, " n_c"]
-) -> CalibrationProblem:
+def _fold_problem(problem: Problem, fitted: Bool[HostArray, " n_c"]) -> Problem:
     """Return the calibration of one fold, without the held-out configuration.
 
     In its place another one is repeated with weight zero: so all fits share their
@@ -92,11 +90,11 @@ def _fold_problem(
     taken = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], problem.configurations)
     weight = np.where(fitted[:, None, None], taken.effectors.inverse_std, 0.0)
     taken = eqx.tree_at(lambda c: c.effectors.inverse_std, taken, weight)
-    return eqx.tree_at(lambda p: p.configurations, problem, taken)
+    return eqx.tree_at(lambda p: p.lanes.arrays, problem, taken)
 
 
 def _fit(
-    problem: CalibrationProblem,
+    problem: Problem,
     settings: CalibrationSettings,
     starts: Float[Array, "n_starts n_p"],
 ) -> list[_Fit]:
@@ -123,7 +121,7 @@ def _fit(
 
 def _score(
     name: str,
-    problem: CalibrationProblem,
+    problem: Problem,
     configurations: Sequence[Configuration],
     fits: list[_Fit],
 ) -> ModelScore:
@@ -146,7 +144,7 @@ def _score(
         error = noise.without_attachments(effectors, fit.after.delta_e, fit.fitted)
         z, on_device = jnp.asarray(fit.run.z), jax.device_put(error)
         after = replace(fit.after, delta_e=on_device)
-        linear = after.linear(problem.with_noise(known), configurations, z)
+        linear = after.linear(problem.with_noise(known), z)
         linear = linear.only(lanes[linear.pose])
         squares = np.sum(error[lanes, :n_points] ** 2, axis=2)
         measured = np.any(weight[lanes, :n_points] > 0.0, axis=2)
@@ -161,7 +159,7 @@ def _score(
     seen = None
     if np.all(last.after.equilibrium.converged):
         z = jnp.asarray(last.run.z)
-        linear = last.after.linear(problem, configurations, z)
+        linear = last.after.linear(problem, z)
         linear, model = linear.with_scale(1.0), problem.model
         seen = identifiability(linear, problem.space, last.run.z, model=model)
     distance, over_noise = rms(last, last.fitted)
@@ -280,7 +278,7 @@ def compare_laws(
 
 
 def compare_models(
-    problems: Mapping[str, CalibrationProblem],
+    problems: Mapping[str, Problem],
     configurations: Sequence[Configuration],
     *,
     settings: CalibrationSettings | None = None,
@@ -320,7 +318,7 @@ def compare_models(
     return ModelComparison.ranked(scores)
 
 
-def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
+def _check_same_data(problems: Mapping[str, Problem]) -> None:
     """Raise ValueError unless all models have the same measurements and noise."""
     data = {}
     for name, problem in problems.items():

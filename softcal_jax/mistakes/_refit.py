@@ -16,10 +16,10 @@ from scipy.optimize import lsq_linear
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.bodies import rotation_matrix, rotation_vector
-from softcal_jax.calibration import CorrelatedNoise
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import RANK, span, whitened
 from softcal_jax.mistakes._readings import Change, Readings
+from softcal_jax.unknowns import CorrelatedNoise
 
 TRUST = 1.0  # largest step of lambda_p about a simulation: a factor e of a modulus [-]
 

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
-from softcal_jax.calibration import CalibrationProblem, Evaluator
+from softcal_jax.calibration import Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Workers
 from softcal_jax.mesh import box_faces, volumes
@@ -33,6 +33,7 @@ from softcal_jax.mistakes._readings import (
 )
 from softcal_jax.mistakes._refit import Refitter, Simulated
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import Problem
 
 FORCES: Mapping[str, Callable[[ConfigurationArrays], Any]] = {
     "gravity": lambda pose: pose.gravity,
@@ -61,7 +62,7 @@ class Simulator:
 
     def __init__(
         self,
-        problem: CalibrationProblem,
+        problem: Problem,
         workers: Workers,
         displacement: Sequence[Float[HostArray, "n_nodes 3"]],
     ):

@@ -35,6 +35,7 @@ from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._design import DesignTask
 from softcal_jax.project._table import ProjectError, in_file, one_by_one, under
+from softcal_jax.unknowns import Problem, check_references
 
 _NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."
 
@@ -318,7 +319,7 @@ class Project(Module):
         posed, model = self.configurations, self.model
         lanes = configuration_lanes(model.mesh, posed, model.mechanism)
         with in_file(self.path), under("configurations"):
-            calibrations.check_references(posed, lanes.effectors)
+            check_references(posed, lanes.effectors)
         if values is not None:
             if self.space is None:
                 raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
@@ -329,7 +330,7 @@ class Project(Module):
                     f"only of {listed([*values])}; leave it out to keep its start."
                 )
             z = self.space.to_scaled(jnp.array([values[n] for n in self.space.names]))
-            fitted = calibrations.CalibrationProblem(model, self.space, lanes.arrays)
+            fitted = Problem(model, self.space, lanes, posed)
             model, arrays = fitted.at(z)
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])

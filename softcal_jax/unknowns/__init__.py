@@ -1,20 +1,26 @@
-"""Every unknown of a calibration, and what the considered ones do to its rows."""
+"""A calibration as a problem, and every unknown of it: what is computed, from what."""
 
 from softcal_jax.unknowns._considered import (
     compile_considered as compile_considered,
     considered_errors as considered_errors,
 )
+from softcal_jax.unknowns._noise import (
+    RECORDINGS as RECORDINGS,
+    AnyArray as AnyArray,
+    CorrelatedNoise as CorrelatedNoise,
+    attachments as attachments,
+    check_references as check_references,
+    creep_of as creep_of,
+    independent_recordings as independent_recordings,
+    noise_columns as noise_columns,
+    read_once as read_once,
+)
+from softcal_jax.unknowns._problem import Problem as Problem
 from softcal_jax.unknowns._unknowns import (
-    CREEP as CREEP,
-    FAR_BEYOND as FAR_BEYOND,
     FIRST_SHARE as FIRST_SHARE,
     MESH as MESH,
-    Attachments as Attachments,
-    Setting as Setting,
     Unknown as Unknown,
-    attachments as attachments,
-    creep_of as creep_of,
+    correlated_noise as correlated_noise,
     held_nodes as held_nodes,
-    recording_names as recording_names,
     unknowns as unknowns,
 )

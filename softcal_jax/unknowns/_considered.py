@@ -23,32 +23,31 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import ErrorColumns
 from softcal_jax.sensitivity import parameter_rows
-from softcal_jax.unknowns._unknowns import MESH, Setting, Unknown, unknowns
+from softcal_jax.unknowns._problem import Problem
+from softcal_jax.unknowns._unknowns import MESH, Unknown, unknowns
 
 
 def considered_errors(
     workers: Workers,
-    setting: Setting,
+    problem: Problem,
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
     without_forces: Sequence[tuple[list[int], Float[HostArray, "n_points 3"]]],
-    n_fitted: int,
 ) -> ErrorColumns:
     """Compute W_c: change of the rows per standard deviation of each error.
 
-    In stated standard deviations of the rows; the first `n_fitted` configurations were
-    fitted. A mesh can be too soft for weight and too stiff for pressure, and the sum
-    would say that it is right. So what the forces of actuators add to its error is an
-    error of its own, see `Evaluator.without_forces`.
+    In stated standard deviations of the rows. A mesh can be too soft for weight and too
+    stiff for pressure, and the sum would say that it is right. So what the forces of
+    actuators add to its error is an error of its own, see `Evaluator.without_forces`.
     """
-    arrays = setting.arrays
+    arrays = problem.configurations
     weight = np.asarray(arrays.effectors.inverse_std)
     displacements = np.asarray(equilibrium.displacement)
     states = [*enumerate(zip(arrays, displacements, strict=True))]
     for (c, *_), u in without_forces:
         states.append((c, (arrays[c].without_forces(), u)))
-    errors, (program, lanes) = _work(setting, z, states)
+    errors, (program, lanes) = _work(problem, z, states)
     columns = np.zeros((len(errors), len(states), weight[0].size))
     for k, of_state in enumerate(workers.map(program, lanes)):
         columns[:, k] = np.asarray(of_state).T
@@ -64,7 +63,7 @@ def considered_errors(
         errors = (*errors, errors[k]._replace(name=name, scope=tuple(scope)))
     for column, error in zip(columns, errors, strict=True):
         column *= 1.0 if error.row is None else error.prior
-    return where_shared(errors, columns, n_fitted, weight)
+    return where_shared(errors, columns, problem.n_fitted, weight)
 
 
 def where_shared(
@@ -86,22 +85,24 @@ def where_shared(
 
 
 def compile_considered(
-    workers: Workers, setting: Setting, z: Float[Array, " n_p"]
+    workers: Workers, problem: Problem, z: Float[Array, " n_p"]
 ) -> None:
     """Compile what `considered_errors` runs, while what comes before it still runs."""
-    rest = np.zeros((setting.model.n_points, 3))
-    workers.ahead(lambda: _work(setting, z, [(0, (setting.arrays[0], rest))])[1])
+    rest = np.zeros((problem.model.n_points, 3))
+    workers.ahead(
+        lambda: _work(problem, z, [(0, (problem.configurations[0], rest))])[1]
+    )
 
 
 def _work(
-    setting: Setting,
+    problem: Problem,
     z: Float[Array, " n_p"],
     states: Sequence[
         tuple[int, tuple[ConfigurationArrays, Float[HostArray, "n_points 3"]]]
     ],
 ) -> tuple[tuple[Unknown, ...], tuple[Program, list[tuple]]]:
     """Return errors, and what runs as if the configuration of each state had all."""
-    considered = [u for u in unknowns(setting) if u.role == "considered"]
+    considered = [u for u in unknowns(problem) if u.role == "considered"]
     errors = tuple(u for u in considered if u.happens or u.row is None)
     if not any(error.happens for error in errors):
         errors = ()
@@ -109,7 +110,7 @@ def _work(
     space = ParameterSpace(entries) if entries else None
     rows = tuple(error.row for error in errors if error.row is not None)
     data = [error.data() for error in errors if error.row is not None]
-    some = errors and setting.arrays.effectors.measured.size
+    some = errors and problem.configurations.effectors.measured.size
     lanes = [
         (
             tuple(jax.device_put(of_pose[c]) for of_pose in data),
@@ -119,7 +120,7 @@ def _work(
         )
         for c, (lane, u) in (states if some else ())
     ]
-    shared = setting.model, setting.space.numbered, space, rows
+    shared = problem.model, problem.space.numbered, space, rows
     return errors, (Program(_of_pose, *shared), lanes)
 
 

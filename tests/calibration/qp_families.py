@@ -220,7 +220,7 @@ def problems(family: str, count: int) -> list[Problem]:
 
 
 def steps(drawn: list[Problem]):
-    """The steps of all problems, and their KKT residuals."""
+    """The steps of all problems, as `bounded_step` returns them."""
     results = []
     for problem in drawn:
         *box, A, b = (jnp.asarray(part) for part in problem)

@@ -12,7 +12,6 @@ from wording import says
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import build_problem, calibrate as calibrate_with
-from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
@@ -20,7 +19,6 @@ from softcal_jax.configurations import (
     Markers,
     Support,
     SurfaceForce,
-    configuration_lanes,
 )
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import (
@@ -36,7 +34,7 @@ from softcal_jax.inference import NOISE, Cause, ErrorBudget
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
-from softcal_jax.unknowns import Setting, unknowns
+from softcal_jax.unknowns import noise_columns, unknowns
 from softcal_jax.unknowns._considered import where_shared
 from softcal_jax.unknowns._unknowns import Unknown
 
@@ -392,9 +390,7 @@ def all_errors(*parameters):
     problem = build_problem(PLAIN, (WIDE, *parameters), measured, uncertain=SAME_MESH)
     effectors = problem.configurations.effectors
     of_noise = noise_columns(problem.noise, effectors, measured).names
-    lanes = configuration_lanes(PLAIN.mesh, measured, PLAIN.mechanism)
-    setting = Setting(problem.model, problem.space, measured, lanes, SAME_MESH)
-    every = unknowns(setting)
+    every = unknowns(problem)
     held = [unknown.groups(1) for unknown in every if unknown.role == "considered"]
     return set(of_noise) | {name for groups in held for name, _ in groups}
 

@@ -370,7 +370,7 @@ def test_a_lower_cost_is_told():
 
 def of_problem(result, poses):
     problem = build_problem(result.model, result.space, poses, result.newton)
-    return Fitted(result, problem, tuple(poses), None)
+    return Fitted(result, problem, None)
 
 
 def never(*_):

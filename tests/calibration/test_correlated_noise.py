@@ -16,7 +16,6 @@ from softcal_jax.calibration import (
     evaluate,
     levenberg_marquardt,
 )
-from softcal_jax.calibration._noise import read_once
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -31,6 +30,7 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.report import held_out_sentences
 from softcal_jax.robots import simulated_measurements
+from softcal_jax.unknowns import read_once
 
 STD, OFFSET = 1e-4, 0.5e-3
 MARKERS = Markers(

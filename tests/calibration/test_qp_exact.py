@@ -11,7 +11,7 @@ OF_SIX = [name for name in FAMILIES if not name.endswith(("parameter", "paramete
 def check(family, count):
     """Every step keeps its limits and costs what the exact one costs."""
     drawn = problems(family, count)
-    solutions, kkt = steps(drawn)
+    solutions, kkt, _ = steps(drawn)
     for k, (problem, step) in enumerate(zip(drawn, solutions, strict=True)):
         exact = cost(problem, exact_step(problem))
         scale = exact + 0.5 * np.sum(problem.error**2)

@@ -13,7 +13,6 @@ from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
-    CalibrationProblem,
     Evaluator,
     MultiStartResult,
     Optimum,
@@ -48,6 +47,7 @@ from softcal_jax.fields import (
     random_starts,
 )
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
+from softcal_jax.unknowns import Problem
 
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
@@ -58,7 +58,7 @@ class Measured(NamedTuple):
 
     beam: AnisotropicBeam
     data: tuple
-    problem: CalibrationProblem
+    problem: Problem
     starts: jax.Array
 
 

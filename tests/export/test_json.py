@@ -13,15 +13,11 @@ from export.handmade import (
 )
 from wording import says
 
-from softcal_jax.calibration import (
-    CorrelatedNoise,
-    LeftOut,
-    ParameterInterval,
-    ResidualChecks,
-)
+from softcal_jax.calibration import LeftOut, ParameterInterval, ResidualChecks
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
+from softcal_jax.unknowns import CorrelatedNoise
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from problems import lane_of
 
-from softcal_jax.calibration import CalibrationProblem, build_problem, evaluate
+from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -36,6 +36,7 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
 from softcal_jax.sensitivity._compliance import FEW_PARAMETERS
+from softcal_jax.unknowns import Problem
 
 TIGHT = NewtonSettings(rtol=1e-11)
 MARKERS = Markers(["tip"], [[0.1, 0.01, 0.01]])
@@ -69,7 +70,7 @@ def parts(mesh, n):
 
 
 @cache
-def plain(solver) -> CalibrationProblem:
+def plain(solver) -> Problem:
     """With the shapes of calibration/light_beam.py, for its programs."""
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
     law = NeoHookean(1e5, 0.3)
@@ -79,7 +80,7 @@ def plain(solver) -> CalibrationProblem:
 
 
 @cache
-def case(name) -> CalibrationProblem:
+def case(name) -> Problem:
     if name in ("plain", "KLU"):
         return plain("klu" if name == "KLU" else None)
     order = 2 if name == "mean dilatation" else 1

@@ -32,7 +32,7 @@ from softcal_jax.materials import (
     youngs_moduli,
 )
 from softcal_jax.mesh import beam
-from softcal_jax.unknowns import Setting, unknowns
+from softcal_jax.unknowns import Problem, unknowns
 
 
 class Pair(NamedTuple):
@@ -72,7 +72,7 @@ def errors_of(model, field, gravity=(0.0, 0.0, -9.81)):
     pose = Configuration("hang", "x_min", gravity=gravity)
     lanes = configuration_lanes(model.mesh, [pose], model.mechanism)
     space = ParameterSpace((Parameter(field, field, 0.4, 0.1, 0.45, scale="linear"),))
-    every = unknowns(Setting(model, space, [pose], lanes, Uncertain()))
+    every = unknowns(Problem(model, space, lanes, [pose], uncertain=Uncertain()))
     errors = [u for u in every if u.role == "considered" and u.happens]
     return [u for u in errors if isinstance(u.entry, FieldError)]
 

@@ -8,7 +8,7 @@ from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.unknowns import Setting, unknowns
+from softcal_jax.unknowns import Problem, unknowns
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,8 @@ def test_a_mass_that_gravity_acts_on_is_considered(mass, gravity, named):
     poses = [Configuration(name, "x_min", (0.0, 0.0, gravity)) for name in "ab"]
     lanes = configuration_lanes(mesh, poses, model.mechanism)
     space = ParameterSpace((Parameter("E", "E", 1e5, 1e4, 1e6),))
-    every = unknowns(Setting(model, space, poses, lanes, Uncertain(loads=0.01)))
+    loads = Uncertain(loads=0.01)
+    every = unknowns(Problem(model, space, lanes, poses, uncertain=loads))
     errors = [u for u in every if u.cause == "loads" and u.happens]
     assert [u.name for u in errors] == named
     assert all((u.role, u.prior) == ("considered", 0.01) for u in errors)

@@ -21,7 +21,6 @@ from softcal_jax.configurations import (
     Support,
     SupportReaction,
     SurfaceForce,
-    configuration_lanes,
 )
 from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
@@ -34,7 +33,7 @@ from softcal_jax.materials import (
     TransverseHyperelastic,
 )
 from softcal_jax.mesh import beam, to_quadratic
-from softcal_jax.unknowns import MESH, Setting, considered_errors
+from softcal_jax.unknowns import MESH, considered_errors
 
 REFERENCE = 6.7812
 """Sag of a silicone cantilever [mm]: mixed hexahedra of FElupe, extrapolated, in
@@ -66,21 +65,15 @@ def considered_at_start(problem, configurations, apart=True):
         evaluator = Evaluator(problem, workers)
         equilibrium = evaluator.equilibria(z)
         assert np.all(equilibrium.converged)
-        model = problem.model
-        lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-        weights, arrays = lambda c: c.effectors.inverse_std, problem.configurations
-        ones = eqx.tree_at(weights, arrays, jnp.ones_like(weights(arrays)))
-        lanes = lanes._replace(arrays=ones)
-        setting = Setting(model, problem.space, configurations, lanes, ONLY_THE_MESH)
+        weights = lambda p: p.lanes.arrays.effectors.inverse_std
+        weighed = eqx.tree_at(weights, problem, jnp.ones_like(weights(problem)))
         read = evaluator.effectors(z, equilibrium)
-        n_c = len(configurations)
         errors = considered_errors(
             workers,
-            setting,
+            replace(weighed, uncertain=ONLY_THE_MESH),
             z=z,
             equilibrium=equilibrium,
             without_forces=evaluator.without_forces(z, equilibrium) if apart else [],
-            n_fitted=n_c,
         )
         return read, errors
 

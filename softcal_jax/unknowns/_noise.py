@@ -11,16 +11,33 @@ units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and
 errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
 independent with the variance s^2 in units of `std` (generalised least squares; Seber
 and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+
+Attachments: where a marker was glued is known to a millimetre or so, and its motion
+between two poses to a tenth of that. A configuration that names another one as its
+reference is compared by differences of poses on both sides, measured and simulated.
+Every point then has an unknown offset, and every 6-D sensor an unknown mounting, that
+both poses share. As columns of the covariance, with a standard deviation far beyond any
+offset, they take out what the errors have in common and nothing else. This is
+generalised least squares on the differences, all of which contain the noise of the
+reference.
+
+A point keeps its offset along the axes of the mesh. A sensor that is mounted with an
+offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
+the reference r to a configuration c, is the same for every mounting M. To first order
+the errors of its position and orientation are R d and R r, with the rotation R of the
+body in each pose. Sensitivities are those of the nominal point and axes, but half the
+unknown turn tilts the axes: know the mounting to millimetres and some degrees.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
@@ -32,25 +49,97 @@ from softcal_jax.configurations import (
     EffectorRecord,
 )
 from softcal_jax.fields import KINDS
-from softcal_jax.inference import ATTACHMENTS, ErrorColumns, no_errors
-from softcal_jax.unknowns import (
-    CREEP,
-    FAR_BEYOND,
-    Attachments,
-    Setting,
-    Unknown,
-    attachments,
-    creep_of,
-    recording_names,
-    unknowns,
-)
+from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
+
+CREEP = "creep"
+"""Name of the share of the motion in the budget."""
 
 (OFFSETS,) = (kind for kind in KINDS.values() if kind.is_noise)
 """The kind of unknown that is part of the noise: an offset of each recording."""
 
 RECORDINGS = OFFSETS.uncertain  # name of the offsets of recordings in the budget
 
+AT_REST = 1e-12
+"""Difference of a reading from rest that is rounding [m, rad]."""
+
 AnyArray = Array | HostArray
+
+
+def recording_names(configurations: Sequence[Configuration]) -> list[str]:
+    """Return the name of the recording of each configuration."""
+    return [c.recording or c.name for c in configurations]
+
+
+def creep_of(configuration: Configuration) -> str:
+    """Name the share of the motion of a configuration that is noise."""
+    return f"creep in {configuration.name}"
+
+
+FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
+"""Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
+
+Attachment = tuple[str, str, str]
+"""Names of the reference and of an effector, and its quantity."""
+
+
+class Attachments(NamedTuple):
+    """Attachments of the effectors whose displacement counts, not their position.
+
+    Attributes:
+        of_row: Index of the attachment of each row, -1 for rows without.
+        axes: Axes of its offset, as a matrix for each row [-].
+        keys: What each attachment is, by this index.
+    """
+
+    of_row: Int[HostArray, "n_c n_rows"]
+    axes: Float[HostArray, "n_c n_rows 3 3"]
+    keys: tuple[Attachment, ...]
+
+    def shifts(
+        self,
+        weight: Float[HostArray, "n n_rows 3"],
+        delta_e: Float[HostArray, "n n_rows 3"],
+    ) -> Float[HostArray, "n_c n_rows 3"]:
+        """Return what the offset of its attachment adds to each row [m, rad].
+
+        Offsets fit the weighted errors of the first configurations, by least squares.
+        """
+        shifts, n = np.zeros((*self.of_row.shape, 3)), len(weight)
+        for k in range(int(self.of_row.max(initial=-1)) + 1):
+            mine = self.of_row == k
+            w = weight[mine[:n]]
+            A, b = w[:, :, None] * self.axes[:n][mine[:n]], w * delta_e[mine[:n]]
+            offset, *_ = np.linalg.lstsq(A.reshape(-1, 3), b.ravel(), rcond=RANK)
+            shifts[mine] = self.axes[mine] @ offset
+        return shifts
+
+
+def attachments(
+    configurations: Sequence[Configuration],
+    effectors: Sequence[Sequence[EffectorRecord]],
+    n_rows: int,
+) -> Attachments:
+    """Number the points and frames whose displacement counts.
+
+    Effectors of the same name share their offset in all configurations with the same
+    reference, and in the reference itself.
+    """
+    references = {c.displacement_from for c in configurations} - {None}
+    index = np.full((len(configurations), n_rows), -1, np.int32)
+    axes = np.tile(np.eye(3), (*index.shape, 1, 1))
+    keys: dict[Attachment, int] = {}
+    for lane, (c, records) in enumerate(zip(configurations, effectors, strict=True)):
+        reference = c.displacement_from or (c.name if c.name in references else None)
+        if reference is None:
+            continue
+        measured = lambda e: Rotation.from_rotvec(np.nan_to_num(e.measured)).as_matrix()
+        turned = {e.name: measured(e) @ e.reference for e in records if e.is_turn}
+        for e in records:
+            if e.quantity in FAR_BEYOND:
+                key = (reference, e.name, e.quantity)
+                index[lane, e.index] = keys.setdefault(key, len(keys))
+                axes[lane, e.index] = turned.get(e.name, np.eye(3))
+    return Attachments(index, axes, tuple(keys))
 
 
 def check_references(
@@ -118,7 +207,8 @@ def read_once(
         read = {key(e): numbers(e) for e in records[c] if e.seen.any()}
         for first, other in {} if names[c] in references else kept.items():
             same = [e for e in records[c] if key(e) in read.keys() & other.keys()]
-            moved = sum(np.nansum(np.abs(numbers(e) - rest(e)) > 0.0) for e in same)
+            off = [np.abs(numbers(e) - rest(e)) for e in same]
+            moved = sum(np.nansum(of_one > AT_REST) for of_one in off)
             alike = [np.array_equal(read[key(e)], other[key(e)], True) for e in same]
             if moved < 2 or not all(alike):
                 continue
@@ -253,41 +343,6 @@ class CorrelatedNoise(Module):
 def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]:
     """Put values on the device, typed like others, without compiling a program."""
     return jax.device_put(np.asarray(new, like.dtype))
-
-
-def correlated_noise(setting: Setting) -> CorrelatedNoise:
-    """Collect the unknowns that are part of the noise, as arrays.
-
-    What is to be estimated has its first value.
-    """
-    effectors, records = setting.arrays.effectors, setting.lanes.effectors
-    names = recording_names(setting.configurations)
-    by_cause: dict[str, list[Unknown]] = {RECORDINGS: [], CREEP: [], ATTACHMENTS: []}
-    for unknown in unknowns(setting):
-        if unknown.role == "noise":
-            by_cause[unknown.cause].append(unknown)
-    offset = [unknown.in_each() for unknown in by_cause[RECORDINGS]]
-    shares = np.sum([np.zeros(len(names)), *(u.in_each() for u in by_cause[CREEP])], 0)
-    dtype = np.asarray(effectors.inverse_std).dtype
-    n_rows = np.shape(effectors.measured)[1]
-    attached = attachments(setting.configurations, records, n_rows)
-    # Minus the error of a point at rest: 0 for coordinates that were not measured.
-    motion = np.zeros((len(names), n_rows, 3), dtype)
-    for lane, of_pose in enumerate(records):
-        for e in of_pose:
-            if e.quantity == "point":
-                motion[lane, e.index] = -np.nan_to_num(e.error(e.at_rest))
-    noise = CorrelatedNoise(
-        recording=np.array([names.index(name) for name in names], np.int32),
-        offset=np.asarray(np.transpose(offset), dtype),
-        motion=motion,
-        share=np.asarray(shares, dtype),
-        jitter=np.ones((), dtype),
-        attachment=attached.of_row,
-        attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.array([u.prior for u in by_cause[ATTACHMENTS]], dtype),
-    )
-    return jax.device_put(noise)
 
 
 def noise_columns(
