@@ -25,7 +25,7 @@ def main() -> None:
     jax.monitoring.register_event_listener(lambda event, **_: events.update([event]))
 
     from benchmarks._paper import STD
-    from softcal_jax.calibration import calibrate
+    from softcal_jax.calibration import Event, HistoryEntry, calibrate
     from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
     with Compilations() as seen:
@@ -35,9 +35,13 @@ def main() -> None:
         )
         simulated = time.time() - begin
         compiled: list[int] = []
-        note = lambda entry: compiled.append(len(seen.programs))
+
+        def note(event: Event) -> None:
+            if isinstance(event, HistoryEntry):
+                compiled.append(len(seen.programs))
+
         result = calibrate(
-            beam.model, beam.space, poses, starts=1, intervals=None, progress=note
+            beam.model, beam.space, poses, starts=1, intervals=None, watch=note
         )
     cache = "/jax/compilation_cache/"
     print(

@@ -24,6 +24,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     from benchmarks.robot_speed import measured_robot
     from softcal_jax import calibrate, robots
+    from softcal_jax.calibration import CalibrationResult, Event
     from softcal_jax.fields import exactly_known
     from softcal_jax.project import load_project
 
@@ -43,9 +44,13 @@ def main() -> None:
     def once() -> tuple[float, float]:
         forget_starts()
         fitted: list[tuple[float, int]] = []
-        ended = lambda _: fitted.append((time.perf_counter(), peak_bytes()))
+
+        def ended(event: Event) -> None:
+            if isinstance(event, CalibrationResult):
+                fitted.append((time.perf_counter(), peak_bytes()))
+
         begin = time.perf_counter()
-        calibrate(*fit, uncertain=only_mesh, intervals=None, answer=ended, **options)
+        calibrate(*fit, uncertain=only_mesh, intervals=None, watch=ended, **options)
         ((until, peak),) = fitted
         spent = (time.perf_counter() - until) / (until - begin)
         return spent, peak_bytes() / peak

@@ -134,7 +134,7 @@ def run(options: Options) -> Outcome:
         "own_poses_met_from_the_start": sum(len(r.attempts) == 1 for r in results),
         "out_of_reach_over_reachable": max(seconds_beyond) / float(np.mean(seconds)),
         "out_of_reach_called_nearest": sum(
-            r.outcome == OUTCOMES.nearest for r in beyond
+            bool(r.outcome == OUTCOMES.nearest) for r in beyond
         ),
     }
     options.say("calibrating")

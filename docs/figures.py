@@ -75,7 +75,7 @@ def draw_robots(folder: Path) -> None:
     """Write a picture of a predicted pose of each of the `ROBOTS` into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for robot, name in ROBOTS.items():
-        result = sc.load_project(ready_made_path(robot)).calibrate(progress=False)
+        result = sc.load_project(ready_made_path(robot)).calibrate(watch=False)
         (pose,) = (c for c in result.configurations if c.name == name)
         picture = folder / f"{robot}.png"
         render_configuration(result.model, pose, picture)

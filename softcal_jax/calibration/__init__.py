@@ -23,6 +23,7 @@ from softcal_jax.calibration._evaluation import (
     Evaluator as Evaluator,
     evaluate as evaluate,
 )
+from softcal_jax.calibration._fit import Event as Event, Watch as Watch
 from softcal_jax.calibration._notes import (
     CalibrationWarning as CalibrationWarning,
     LeftOut as LeftOut,

@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -21,9 +21,8 @@ from softcal_jax.calibration._checked_intervals import (
     whole_interval,
     with_intervals,
 )
-from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
-from softcal_jax.calibration._fit import Resume, Watch, fit
+from softcal_jax.calibration._fit import Event, Resume, Watch, fit
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
     warn_if_locking,
@@ -35,10 +34,8 @@ from softcal_jax.calibration._problem import (
     check_effects,
 )
 from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
-from softcal_jax.calibration._starts import SearchProgress
 from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.equilibrium import (
-    EquilibriumProgress,
     Model,
     NewtonSettings,
     check_converged,
@@ -79,11 +76,7 @@ def calibrate(
     goals: bool = False,
     intervals: float | None = LEVEL,
     checkpoint: str | os.PathLike[str] | None = None,
-    progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
-    search_progress: Callable[[SearchProgress], None] | None = None,
-    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-    answer: Callable[[CalibrationResult], None] | None = None,
-    stage: Callable[[str], None] | None = None,
+    watch: Watch | Literal[False] | None = None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -124,16 +117,11 @@ def calibrate(
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
             disk, the calibration goes on with a warning and a note.
-        progress: Called after the first evaluation and after each step. By default, on
-            a terminal and in notebooks, a line says what is under way, also by the
-            other callbacks that are not given; False switches it off.
-        search_progress: Called after each step of a search, in one of its threads.
-        equilibrium_progress: Called while equilibria are solved from rest: the first
-            ones, and those of held-out configurations.
-        answer: Called with the result so far, its standard errors by the noise alone,
-            once the steps have ended and held-out configurations are predicted;
-            `result.left_out` says what is still to come.
-        stage: Called with a text: what is computed next, and how much work it is.
+        watch: Called with what happens, see `Event`; with steps of a search from its
+            threads, one at a time. A result so far has the standard errors by the noise
+            alone, and its `left_out` says what is still to come. By default, on a
+            terminal and in notebooks, a line says what is under way; False switches it
+            off.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
@@ -182,39 +170,38 @@ def calibrate(
         start=start,
         intervals=intervals,
     )
-    with progress_line(wanted=progress is None) as line:
-        watch = Watch(
-            checkpoint,
-            progress or line,
-            search_progress or line,
-            equilibrium_progress or line,
-            answer,
-            stage or line or (lambda _: None),
-        )
-        result = _with_intervals(problem, options, watch)
+    with progress_line(wanted=watch is None) as line:
+        result = _with_intervals(problem, options, watch or line, checkpoint)
     return replace(result, repeated=repeated)
 
 
 def _with_intervals(
-    problem: Problem, options: FitOptions, watch: Watch
+    problem: Problem,
+    options: FitOptions,
+    watch: Watch | None,
+    checkpoint: str | os.PathLike[str] | None,
 ) -> CalibrationResult:
     """Fit, and find the intervals of the parameters if they are asked for."""
-    first, intervals = fit(problem, options, watch), options.intervals
+    first = fit(problem, options, watch, checkpoint=checkpoint)
+    intervals = options.intervals
     if intervals is None or first.result.interrupted:
         return first.result
+
+    def again(event: Event) -> None:
+        if watch is not None and not isinstance(event, CalibrationResult):
+            watch(event)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old = done.result
         assert old.noise is not None
         resume = Resume(z, old.noise, old.history)
-        again = watch._replace(checkpoint=None, answer=None)
-        new = fit(problem, options._replace(starts=1), again, resume)
+        new = fit(problem, options._replace(starts=1), again, resume=resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         result = replace(new.result, starts=old.starts, timing_s=timing)
         return new._replace(result=result)
 
     try:
-        return with_intervals(first, intervals, go_on, watch.stage)
+        return with_intervals(first, intervals, go_on, again)
     except KeyboardInterrupt:
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)

@@ -74,15 +74,14 @@ from softcal_jax.unknowns import (
 BUDGET, INTERVALS = "the error budget", "the intervals"  # come after the answer so far
 
 
-class Watch(NamedTuple):
-    """Where a fit is saved and reported; see `calibrate`."""
+Event = str | HistoryEntry | SearchProgress | EquilibriumProgress | CalibrationResult
+"""What a fit tells while it runs.
 
-    checkpoint: str | os.PathLike[str] | None = None
-    progress: Callable[[HistoryEntry], None] | None = None
-    search_progress: Callable[[SearchProgress], None] | None = None
-    equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None
-    answer: Callable[[CalibrationResult], None] | None = None
-    stage: Callable[[str], None] = lambda _: None
+What is computed next, in words; a step of the fit, of a search, or of equilibria that
+are solved from rest; and once, before the error budget, the result so far.
+"""
+
+Watch = Callable[[Event], None]
 
 
 class Resume(NamedTuple):
@@ -106,9 +105,15 @@ class _Solved(NamedTuple):
 
 
 def fit(
-    problem: Problem, options: FitOptions, watch: Watch, resume: Resume | None = None
+    problem: Problem,
+    options: FitOptions,
+    watch: Watch | None,
+    *,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: Resume | None = None,
 ) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
+    tell = watch or (lambda _: None)
     # A checkpoint is of one set of starts and one noise.
     first = () if options.start is None else tuple(options.start.tolist())
     estimated = problem.uncertain.estimated
@@ -117,39 +122,39 @@ def fit(
     journal = Journal(
         fitted,
         options.settings,
-        watch.checkpoint,
-        watch.progress,
+        checkpoint,
+        tell,
         search=mark,
         history=() if resume is None else resume.history,
     )
     most = options.starts * max(problem.n_fitted, 2 * problem.n_held_out)
     with journal, Clock() as clock, Workers(problem.model, most) as workers:
         start = _start(fitted, options, watch, workers)
-        place, search = _place(options, watch, start, journal, resume)
+        place, search = _place(options, tell, start, journal, resume)
         weighed = _descended(options, start, place, journal)
         z = weighed.state.z
         if not journal.interrupted:
             compile_considered(workers, problem, z)
         held_out = problem.names[problem.n_fitted :]
         if held_out:
-            watch.stage(f"predicting {', '.join(held_out)}")
-        report = reports_of(watch.equilibrium_progress, held_out)
+            tell(f"predicting {', '.join(held_out)}")
+        report = reports_of(watch, held_out)
         predicted = predict(problem, start, weighed, report)
         journal.interrupted |= predicted.interrupted
         solved = _Solved(options, start, search, weighed, predicted, journal, clock)
         open_ = (BUDGET,) if options.intervals is None else (BUDGET, INTERVALS)
         so_far = cache(lambda: replace(_result(solved), left_out=open_))
-        if watch.answer is not None:
-            watch.answer(so_far())
+        if watch is not None:
+            watch(so_far())
         if journal.interrupted:
             result = so_far()
         else:
-            result = _with_budget(watch, solved, workers, so_far)
+            result = _with_budget(tell, solved, workers, so_far)
     return Fitted(result, fitted.with_noise(weighed.noise), weighed.state.evaluation)
 
 
 def _with_budget(
-    watch: Watch,
+    tell: Watch,
     solved: _Solved,
     workers: Workers,
     so_far: Callable[[], CalibrationResult],
@@ -158,7 +163,7 @@ def _with_budget(
     taken, problem = solved.journal.history[-1].seconds, solved.predicted.problem
     z, solution = solved.weighed.state.z, solved.predicted.response.equilibrium
     try:
-        watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
+        tell(f"{BUDGET} (the fit took {taken:.0f} s)")
         considered = considered_errors(
             workers,
             problem,
@@ -244,7 +249,7 @@ def _result(
 
 
 def _start(
-    problem: Problem, options: FitOptions, watch: Watch, workers: Workers
+    problem: Problem, options: FitOptions, watch: Watch | None, workers: Workers
 ) -> Start:
     """Solve the first equilibria, with moduli raised where there are none."""
     space = problem.space
@@ -256,7 +261,7 @@ def _start(
         )
     first = admissible(space.numbered, z)
     evaluate = Evaluator(problem, workers)
-    start = begin(evaluate, first, watch.equilibrium_progress, watch.stage)
+    start = begin(evaluate, first, watch)
     read = start.evaluation.response
     check_numbers(problem.names, problem.records, read.effectors, read.W_ep)
     check_cost(problem, start.evaluation)
@@ -266,7 +271,7 @@ def _start(
 
 def _place(
     options: FitOptions,
-    watch: Watch,
+    tell: Watch,
     start: Start,
     journal: Journal,
     resume: Resume | None,
@@ -286,9 +291,9 @@ def _place(
         jnp.concatenate([start.z[None], others]),
         mirror=True,
         journal=journal,
-        progress=watch.search_progress or (lambda _: None),
+        progress=tell,
     )
-    watch.stage("equilibria at the best of the starts")
+    tell("equilibria at the best of the starts")
     z = jnp.asarray(runs.z[runs.best])
     return Start(evaluate, z, evaluate.from_rest(z), ()), runs
 

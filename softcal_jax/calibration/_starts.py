@@ -74,8 +74,7 @@ class Start(NamedTuple):
 def begin(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
-    progress: Callable[[EquilibriumProgress], None] | None = None,
-    stage: Callable[[str], None] = lambda _: None,
+    watch: Callable[[EquilibriumProgress | str], None] | None = None,
 ) -> Start:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
@@ -85,8 +84,9 @@ def begin(
     """
     problem, raised, factor = evaluate.problem, z, 1.0
     names = problem.names
-    report = partial(reports_of, progress, names)
-    solved = partial(stage, "how the poses depend on the parameters")
+    report = partial(reports_of, watch, names)
+    tell = watch or (lambda _: None)
+    solved = partial(tell, "how the poses depend on the parameters")
     first = evaluate.from_rest(z, report(), solved)
     solution = first.equilibrium
     if solution.converged.all():

@@ -212,7 +212,8 @@ def _export(
             care = cli.with_care(source.outcome, source.doubts)
     show.lap("reading")
     said: list[str] = []
-    progress = ExportProgress(show.now, cli.step_lines(project, show), said.append)
+    watch = cli.watch_lines(show, cli.step_lines(project, show))
+    progress = ExportProgress(show.now, watch, said.append)
     with cli.no_equilibrium("Nothing was written."):
         notes = [*exporter.write(source, output, args, progress), *care]
     show.lap("export")

@@ -59,11 +59,11 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     with cli.no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
-            progress=cli.step_lines(project, show),
-            search_progress=lambda step: show.now(str(step), log=False),
-            equilibrium_progress=cli.equilibrium_lines(show),
-            answer=lambda result: cli.so_far(result, show),
-            stage=show.now,
+            watch=cli.watch_lines(
+                show,
+                cli.step_lines(project, show),
+                lambda result: cli.so_far(result, show),
+            ),
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
@@ -145,12 +145,8 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
     show.now("first equilibrium")
     step = lambda entry: show.note(f"step {entry.step:<3} cost {entry.cost:9.3g}")
     with cli.no_equilibrium("Nothing was written."):
-        result = project.design(
-            progress=step,
-            search_progress=lambda step: show.now(str(step), log=False),
-            answer=lambda result: show.note(headline(result)),
-            stage=show.now,
-        )
+        so_far = lambda result: show.note(headline(result))
+        result = project.design(watch=cli.watch_lines(show, step, so_far))
     show.lap("design", compiling=result.fit.timing_s["compile"])
     show.line()
     show.line(report.console(report.sections(result)))
@@ -300,11 +296,8 @@ def transfer(args: argparse.Namespace, show: cli.Display) -> None:
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
     with cli.no_equilibrium("There is nothing to compare."):
-        result = project.calibrate(
-            progress=cli.step_lines(project, show),
-            equilibrium_progress=cli.equilibrium_lines(show),
-            stage=show.now,
-        )
+        steps = cli.step_lines(project, show)
+        result = project.calibrate(watch=cli.watch_lines(show, steps))
         if not result.converged:
             raise cli.Stop(cli.NOT_CONVERGED, "the calibration of B did not converge.")
         show.now("the poses of B with the values of A")

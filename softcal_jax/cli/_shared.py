@@ -262,6 +262,33 @@ def checkpoint_stands(args: argparse.Namespace) -> str:
     )
 
 
+def watch_lines(
+    show: Display,
+    step: "Callable[[HistoryEntry], None]",
+    so_far: Callable[[Any], None] = lambda _: None,
+) -> Callable[[Any], None]:
+    """Return a `watch` that shows what happens; lines that stay are its arguments'."""
+    from softcal_jax.calibration import HistoryEntry, SearchProgress
+    from softcal_jax.equilibrium import EquilibriumProgress
+
+    equilibrium = equilibrium_lines(show)
+
+    def watch(event: Any) -> None:
+        match event:
+            case str():
+                show.now(event)
+            case HistoryEntry():
+                step(event)
+            case SearchProgress():
+                show.now(str(event), log=False)
+            case EquilibriumProgress():
+                equilibrium(event)
+            case _:
+                so_far(event)
+
+    return watch
+
+
 def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Return a callback that prints a line per step and says what comes next."""
     from softcal_jax._units import readable

@@ -1,6 +1,6 @@
 """Design: fields and actuation that bring a robot to its goals, and can be printed."""
 
-from softcal_jax.designs._design import design as design
+from softcal_jax.designs._design import DesignWatch as DesignWatch, design as design
 from softcal_jax.designs._foam import (
     TPU as TPU,
     FoamTable as FoamTable,

@@ -13,8 +13,9 @@ from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
     CalibrationWarning,
-    HistoryEntry,
+    Event,
     SearchProgress,
+    Watch,
     as_sequence,
     calibrate,
 )
@@ -55,6 +56,8 @@ from softcal_jax.fields import (
     exactly_known,
 )
 
+DesignWatch = Callable[[Event | DesignResult], None]
+
 LOOP = CalibrationSettings(damping=1e-4, least_fall=1e-4, least_cost=1.0)
 """Settings of the loop: of the many fields that come as near, a close one is taken.
 
@@ -75,8 +78,7 @@ class _Asked(NamedTuple):
     seed: int
     settings: CalibrationSettings
     newton: NewtonSettings | None
-    progress: Callable[[HistoryEntry], None] | Literal[False] | None
-    search_progress: Callable[[SearchProgress], None] | None
+    watch: Watch | Literal[False] | None
 
 
 def design(
@@ -94,10 +96,7 @@ def design(
     seed: int = 0,
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
-    progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
-    search_progress: Callable[[SearchProgress], None] | None = None,
-    answer: Callable[[DesignResult], None] = lambda _: None,
-    stage: Callable[[str], None] = lambda _: None,
+    watch: DesignWatch | Literal[False] | None = None,
 ) -> DesignResult:
     """Find the fields, and for each goal the actuation, that meet goals together.
 
@@ -125,11 +124,9 @@ def design(
         seed: Seed of the random starts.
         settings: Settings of the loop.
         newton: Settings of the equilibrium.
-        progress: Called after each step of the design itself, once the search is over.
-            By default, on a terminal and in notebooks, a line; False switches it off.
-        search_progress: Called after each step of a search.
-        answer: Called with the design before anything is compared with it.
-        stage: Called with a text: what is computed next.
+        watch: Called with what happens, see `calibration.Event`, and with the design
+            before anything is compared with it. By default, on a terminal and in
+            notebooks, a line says what is under way; False switches it off.
 
     Returns:
         The design, and the same goals with the best homogeneous material and with
@@ -158,13 +155,17 @@ def design(
         raise ValueError(
             "robust: nothing that is designed has errors of printing; leave it out."
         )
-    options = seed, settings or LOOP, newton, progress, search_progress
+    tell = watch or (lambda _: None)
+    # A result of a fit is no design yet.
+    of_fit = _part_of(watch, lambda event: not isinstance(event, CalibrationResult))
+    options = seed, settings or LOOP, newton, of_fit
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
     fit = _fit(asked, space, starts=starts)
     reached, others, lost = design_goals(fit, printing), [], ""
-    asked, of_prints = asked._replace(progress=False), None
+    of_search = _part_of(watch, lambda event: isinstance(event, SearchProgress))
+    asked, of_prints = asked._replace(watch=of_search or False), None
     if robust and not fit.interrupted:
-        stage("the least expected error of prints")
+        tell("the least expected error of prints")
         try:
             of_prints = _robust(asked, space, fit, printing)
         except (RuntimeError, KeyboardInterrupt) as error:
@@ -202,12 +203,19 @@ def design(
     )
     if space is None or fit.interrupted:
         return result
-    answer(result)
+    tell(result)
     try:
-        others.extend(_alternatives(asked, space, stage))
+        others.extend(_alternatives(asked, space, tell))
     except KeyboardInterrupt:
         result = replace(result, fit=replace(fit, interrupted=True))
     return replace(result, alternatives=tuple(others))
+
+
+def _part_of(
+    watch: DesignWatch | Literal[False] | None, tells: Callable[[Event], bool]
+) -> Watch | Literal[False] | None:
+    """Return a `watch` that is told a part of what happens."""
+    return watch and (lambda event: watch(event) if tells(event) else None)
 
 
 def _fit(
@@ -292,23 +300,22 @@ def _calibrated(
             newton=asked.newton,
             seed=asked.seed,
             intervals=None,
-            progress=asked.progress,
-            search_progress=asked.search_progress,
+            watch=asked.watch,
             **more,
         )
 
 
 def _alternatives(
-    asked: _Asked, space: ParameterSpace, stage: Callable[[str], None]
+    asked: _Asked, space: ParameterSpace, tell: Callable[[str], None]
 ) -> Iterator[Alternative]:
     """Fit the same goals with less that may be designed, until interrupted."""
     if any(len(entry.parameters) > 1 for entry in space.entries if entry.fields):
-        stage("the same goals with the best homogeneous material")
+        tell("the same goals with the best homogeneous material")
         one = asked._replace(change=None)
         fit = _fit(one, _homogeneous(asked.model, space), starts=None)
         yield _alternative("the best homogeneous material", fit)
     if asked.commands:
-        stage("the same goals with actuation alone")
+        tell("the same goals with actuation alone")
         known = space.model_at(asked.model, space.start())
         alone = asked._replace(model=known, foam=None, change=None)
         yield _alternative("actuation alone", _fit(alone, None, starts=1))

@@ -1,6 +1,6 @@
 """What the formats share: what they cannot hold, and calibrating once more for them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import nan
 from os import PathLike
@@ -13,7 +13,7 @@ from softcal_jax._tree import Section, Table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
 from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
-from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
+from softcal_jax.calibration import CalibrationResult, Watch, calibrate
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import check_results_folder
@@ -120,7 +120,7 @@ def recalibrate(
     project: Project,
     model: Model,
     program: str,
-    progress: Callable[[HistoryEntry], None] | None,
+    watch: Watch | None,
 ) -> Recalibration:
     """Fit the model of a program to the same measurements, from calibrated values.
 
@@ -143,7 +143,7 @@ def recalibrate(
         newton=project.newton,
         start=loaded.z,
         intervals=None,
-        progress=progress,
+        watch=watch,
     )
     if not refitted.converged:
         raise NotConvergedError(

@@ -27,12 +27,12 @@ class ExportProgress(NamedTuple):
 
     Attributes:
         begins: Says what begins, like "calibrating the model of SOFA".
-        step: Shows a step of a calibration, a `HistoryEntry`.
+        watch: Shows what a calibration does, see `calibration.Event`.
         computed: Shows what was computed for the export, in lines.
     """
 
     begins: Callable[[str], None]
-    step: Callable[[Any], None]
+    watch: Callable[[Any], None]
     computed: Callable[[str], None]
 
 
@@ -238,7 +238,7 @@ class _SofaExporter(AbstractExporter):
             law=options.law,
             rotation=options.rotation,
             force=options.force,
-            progress=progress.step,
+            watch=progress.watch,
         )
         progress.computed("\n".join(scene.lines))
         return ()
@@ -265,9 +265,7 @@ class _MujocoExporter(AbstractExporter):
         from softcal_jax.exchange.mujoco import export_mujoco
 
         progress.begins("calibrating the model of MuJoCo")
-        model = export_mujoco(
-            source, output, force=options.force, progress=progress.step
-        )
+        model = export_mujoco(source, output, force=options.force, watch=progress.watch)
         progress.computed("\n".join(model.lines))
         return ()
 

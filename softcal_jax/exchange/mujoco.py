@@ -4,7 +4,7 @@ Written as XML (MJCF): body, actuators, loads, and a keyframe per configuration.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -20,7 +20,7 @@ from softcal_jax.actuators import (
     SurfaceForceActuator,
     actuator_rows,
 )
-from softcal_jax.calibration import CalibrationResult, HistoryEntry
+from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -77,7 +77,7 @@ def export_mujoco(
     directory: str | os.PathLike[str],
     *,
     force: bool = False,
-    progress: Callable[[HistoryEntry], None] | None = None,
+    watch: Watch | None = None,
 ) -> MujocoExport:
     """Write a calibrated robot as a model of MuJoCo, calibrated again for it.
 
@@ -92,7 +92,7 @@ def export_mujoco(
         result: The results folder, its `result.json`, or what `load_result` returned.
         directory: The folder; it must be new or empty, or hold an earlier model.
         force: Replace an earlier model; files that a user added stay.
-        progress: Called after each step of the calibration.
+        watch: Called with what the calibration does, see `calibrate`.
 
     Raises:
         ResultError: If the result cannot be loaded, see `load_result`.
@@ -111,7 +111,7 @@ def export_mujoco(
     at_rest = [np.zeros_like(model.mesh.points)] * len(project.configurations)
     every = project.configurations, at_rest
     mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
-    refit = formats.recalibrate(loaded, project, model, "MuJoCo", progress)
+    refit = formats.recalibrate(loaded, project, model, "MuJoCo", watch)
     refitted = refit.result
     poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *refit.solved)
     lines = [*refit.lines, "", *refit.notes]

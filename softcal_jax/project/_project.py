@@ -12,7 +12,7 @@ from softcal_jax import calibration as calibrations, identifiability
 from softcal_jax._module import Module
 from softcal_jax._text import listed
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration import CalibrationResult, HistoryEntry, ProjectSource
+from softcal_jax.calibration import CalibrationResult, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
     Registration,
@@ -20,7 +20,7 @@ from softcal_jax.configurations import (
     beyond,
     configuration_lanes,
 )
-from softcal_jax.designs import DesignResult, design
+from softcal_jax.designs import DesignResult, DesignWatch, design
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     EquilibriumSolution,
@@ -126,17 +126,13 @@ class Project(Module):
         *,
         start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
-        progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
-        search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
-        equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-        answer: Callable[[CalibrationResult], None] | None = None,
-        stage: Callable[[str], None] | None = None,
+        watch: calibrations.Watch | Literal[False] | None = None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
         `converged` of the result says whether lambda_p vanished, and its notes how well
         the camera frames were registered. `start` are scaled parameters to start from
-        instead of those of the file [-]; `checkpoint` and the callbacks are those of
+        instead of those of the file [-]; `checkpoint` and `watch` are those of
         `softcal_jax.calibrate`.
 
         Raises:
@@ -162,11 +158,7 @@ class Project(Module):
             start=start,
             intervals=self.intervals,
             checkpoint=checkpoint,
-            progress=progress,
-            search_progress=search_progress,
-            equilibrium_progress=equilibrium_progress,
-            answer=answer,
-            stage=stage,
+            watch=watch,
         )
         notes, fits = result.notes, self.registrations.items()
         if fits:
@@ -185,10 +177,7 @@ class Project(Module):
     def design(
         self,
         *,
-        progress: Callable[[HistoryEntry], None] | Literal[False] | None = None,
-        search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
-        answer: Callable[[DesignResult], None] = lambda _: None,
-        stage: Callable[[str], None] = lambda _: None,
+        watch: DesignWatch | Literal[False] | None = None,
     ) -> DesignResult:
         """Find the fields and the actuation that meet the goals of the file.
 
@@ -211,10 +200,7 @@ class Project(Module):
             starts=self.starts,
             seed=self.seed,
             newton=self.newton,
-            progress=progress,
-            search_progress=search_progress,
-            answer=answer,
-            stage=stage,
+            watch=watch,
         )
 
     def check_identify(self) -> None:

@@ -303,7 +303,7 @@ class CalibrationTrial:
         # If starts are an axis, a trial has one start, unless the file sets `starts`.
         starts = project.starts or (1 if "start" in trial.point else None)
         project = dataclasses.replace(project, intervals=None, starts=starts)
-        result = project.calibrate(start=start, progress=False)
+        result = project.calibrate(start=start, watch=False)
         figures = _figures(result)
         if self.truth and not self.layouts.get(trial.point.get("layout", "")):
             truth = truth_in_si(space, self.truth)

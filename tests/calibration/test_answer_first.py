@@ -7,9 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 from light_beam import MODEL, measured, unknowns
+from watching import only
 from wording import says
 
-from softcal_jax.calibration import _calibrate, _evaluation, calibrate
+from softcal_jax.calibration import (
+    CalibrationResult,
+    _calibrate,
+    _evaluation,
+    calibrate,
+)
 from softcal_jax.equilibrium import Program, Workers, _workers
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import assess, identify
@@ -27,8 +33,7 @@ def full():
         measured(),
         noise="stated",
         uncertain=SCALES_UNKNOWN,
-        answer=said.append,
-        stage=said.append,
+        watch=only((str, CalibrationResult), said.append),
     )
     return said, result
 
@@ -81,25 +86,26 @@ def test_what_is_compiled_ahead_is_what_is_run(monkeypatch, task, programs):
     assert set(ahead) <= set(ran)
 
 
-@pytest.mark.parametrize("progress", [None, False, print])
-def test_a_line_says_what_nobody_listens_to(monkeypatch, full, progress):
-    """By default; it is switched off, or replaced by callbacks."""
+@pytest.mark.parametrize("watch", [None, False, print])
+def test_a_line_says_what_nobody_listens_to(monkeypatch, full, watch):
+    """By default; it is switched off, or replaced by a callback."""
     watches, shown = [], []
 
     @contextmanager
     def line(*, wanted):
         yield shown.append if wanted else None
 
-    def told(task, batch, watch):
+    def told(problem, options, watch, checkpoint):
         watches.append(watch)
         return full[1]
 
     monkeypatch.setattr(_calibrate, "progress_line", line)
     monkeypatch.setattr(_calibrate, "_with_intervals", told)
-    calibrate(MODEL, unknowns(), measured(), progress=progress)
-    (watch,) = watches
-    watch.stage("predicting")
-    assert shown == (["predicting"] if progress is None else [])
-    assert bool(watch.progress) == (progress is not False)
-    assert bool(watch.search_progress) == (progress is None)
-    assert bool(watch.equilibrium_progress) == (progress is None)
+    calibrate(MODEL, unknowns(), measured(), watch=watch)
+    (told,) = watches
+    assert (told is print) == (watch is print)
+    if watch is False:
+        assert told is None
+    if watch is None:
+        told("predicting")
+        assert shown == ["predicting"]

@@ -9,11 +9,12 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from watching import only
 from wording import says
 
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import EquilibriumProgress, build_model
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Isotropic, StVenantKirchhoff
 from softcal_jax.mesh import beam
@@ -48,7 +49,7 @@ def fitted(start, upper, **more):
 def test_a_start_that_is_too_soft_is_raised_and_said():
     """At E = 0.4 the bar carries 51 % of the load, at 0.8 all of it."""
     progress = []
-    result = fitted(0.4, 10.0, equilibrium_progress=progress.append)
+    result = fitted(0.4, 10.0, watch=only(EquilibriumProgress, progress.append))
     assert result.converged
     # The data are exact, so Newton's tolerance of 1e-8 is all that is left.
     assert result.value("E") == pytest.approx(1.0, rel=1e-6)
@@ -92,11 +93,11 @@ def test_a_start_that_stands_is_not_touched():
     assert not any("No equilibrium" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("progress", [None, lambda progress: None])
-def test_bounds_that_are_too_soft_are_named(progress):
+@pytest.mark.parametrize("watch", [None, lambda event: None])
+def test_bounds_that_are_too_soft_are_named(watch):
     """At the upper bound of 0.5 Pa the bar carries 64 % of the load."""
     with pytest.raises(RuntimeError) as error:
-        fitted(0.4, 0.5, equilibrium_progress=progress)
+        fitted(0.4, 0.5, watch=watch)
     text = str(error.value)
     assert re.search(
         "no equilibrium.*'pushed'.*law loses its stability.*51.* %", text, re.S

@@ -8,12 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from watching import only
 from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
+    HistoryEntry,
     _weighing as weighing,
     build_problem,
     calibrate as calibrate_with,
@@ -425,7 +427,13 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
         note = lambda entry: until.append(len(fresh.programs))
         # From a start of its own, of which no other test has left the response.
         own = parameter(1.1e5)
-        calibrate(model, [own], exact[:2], validation=exact[2:], progress=note)
+        calibrate(
+            model,
+            [own],
+            exact[:2],
+            validation=exact[2:],
+            watch=only(HistoryEntry, note),
+        )
     assert len(until) > 3
     assert fresh.programs.count("jit(equilibrium_response)") == 1
     assert fresh.programs.count("jit(_solved_each)") == 1

@@ -9,6 +9,7 @@ import pytest
 from light_beam import MODEL, STD, measured, relative_error, unknowns
 from scipy.optimize import brentq
 from scipy.stats import norm
+from watching import only
 from wording import says
 
 from softcal_jax.calibration import (
@@ -176,7 +177,9 @@ def test_what_the_linear_model_leaves_open_is_checked_at_its_bounds(monkeypatch)
     rough = measured(std=30.0 * STD)
     calibrate(MODEL, within(1.8), rough, intervals=None, **EXACTLY)
     alone, said = len(counted), []
-    result = calibrate(MODEL, within(1.8), rough, stage=said.append, **EXACTLY)
+    result = calibrate(
+        MODEL, within(1.8), rough, watch=only(str, said.append), **EXACTLY
+    )
     assert all("exclude no value" in str(i) for i in result.intervals)
     assert says(said, "allow the bounds of", "E")
     assert not any("profile" in text for text in said)

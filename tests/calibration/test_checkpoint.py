@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from printed_beam import BEAM
+from watching import only
 from wording import says
 
 from softcal_jax.calibration import (
@@ -18,6 +19,7 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
     Evaluator,
+    HistoryEntry,
     SearchProgress,
     calibrate,
 )
@@ -66,12 +68,12 @@ def stop_after(n):
         if entry.step == n:
             raise Stopped
 
-    return progress
+    return only(HistoryEntry, progress)
 
 
 def interrupted(fit, path, n, **keywords):
     with pytest.raises(Stopped):
-        fit(path, progress=stop_after(n), **keywords)
+        fit(path, watch=stop_after(n), **keywords)
     return path
 
 
@@ -95,7 +97,7 @@ def test_stopped_and_resumed_it_ends_where_it_would_have(tmp_path, fit, whole, n
     assert len(whole.history) > 6
     path = interrupted(fit, tmp_path / "fit.npz", n)
     entries = []
-    resumed = fit(path, progress=entries.append)
+    resumed = fit(path, watch=only(HistoryEntry, entries.append))
     assert resumed.converged
     np.testing.assert_array_equal(resumed.z, whole.z)
     np.testing.assert_allclose(
@@ -126,7 +128,7 @@ def test_a_finished_calibration_is_only_read(tmp_path, fit):
     first = fit(path)
     before = path.read_bytes()
     entries = []
-    again = fit(path, progress=entries.append)
+    again = fit(path, watch=only(HistoryEntry, entries.append))
     assert first.converged
     assert again.converged
     assert entries == []
@@ -215,7 +217,7 @@ def test_one_calibration_per_checkpoint(tmp_path, fit):
         raise Stopped
 
     with pytest.raises(Stopped):
-        fit(path, progress=second)
+        fit(path, watch=only(HistoryEntry, second))
     assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
     assert fit(path, settings=CalibrationSettings()).converged
 
@@ -281,7 +283,7 @@ def searched(fit):
     progress = []
     with pytest.MonkeyPatch.context() as patch:
         every = Evaluations(patch)
-        result = fit(starts=STARTS, search_progress=progress.append)
+        result = fit(starts=STARTS, watch=only(SearchProgress, progress.append))
     return Searched(result, progress, every.n)
 
 
@@ -318,10 +320,12 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     with monkeypatch.context() as patch:
         before = Evaluations(patch, stop_at=int(share * searched.n))
         with pytest.raises(Stopped):
-            fit(path, starts=STARTS, search_progress=progress.append)
+            fit(path, starts=STARTS, watch=only(SearchProgress, progress.append))
     with monkeypatch.context() as patch:
         after = Evaluations(patch)
-        resumed = fit(path, starts=STARTS, search_progress=resumed_progress.append)
+        resumed = fit(
+            path, starts=STARTS, watch=only(SearchProgress, resumed_progress.append)
+        )
     same_search(resumed.starts, whole.starts)
     np.testing.assert_array_equal(resumed.z, whole.z)
     assert_same_history(resumed.history, whole.history)
@@ -355,7 +359,7 @@ def test_an_interrupted_search_goes_on_as_if_nothing_had_stopped_it(
         if step.start > 0:
             signal.raise_signal(signal.SIGINT)
 
-    stopped = fit(path, starts=STARTS, search_progress=ctrl_c)
+    stopped = fit(path, starts=STARTS, watch=only(SearchProgress, ctrl_c))
     assert stopped.interrupted
     assert says(stopped.notes, f"checkpoint {path}", "same call")
     with np.load(path) as file:

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_beam import MODEL, measured, unknowns
+from watching import only
 from wording import says
 
-from softcal_jax.calibration import calibrate
+from softcal_jax.calibration import HistoryEntry, SearchProgress, calibrate
+from softcal_jax.equilibrium import EquilibriumProgress
 from softcal_jax.fields import exactly_known
 
 
@@ -24,7 +26,7 @@ def ctrl_c_at(step):
         if entry.step == step:
             signal.raise_signal(signal.SIGINT)
 
-    return interrupt
+    return only(HistoryEntry, interrupt)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,7 @@ def whole():
 
 
 def test_the_last_step_is_returned(whole):
-    result = fitted(progress=ctrl_c_at(2))
+    result = fitted(watch=ctrl_c_at(2))
     assert result.interrupted
     assert not result.converged
     assert len(result.history) == 3
@@ -51,7 +53,7 @@ def test_the_last_step_is_returned(whole):
 
 def test_before_the_first_step_there_is_nothing_to_return():
     with pytest.raises(KeyboardInterrupt):
-        fitted(progress=ctrl_c_at(0))
+        fitted(watch=ctrl_c_at(0))
 
 
 def test_a_search_leaves_the_best_end_so_far(whole):
@@ -61,7 +63,7 @@ def test_a_search_leaves_the_best_end_so_far(whole):
         if search.step > 0:
             signal.raise_signal(signal.SIGINT)
 
-    result = fitted(starts=3, search_progress=interrupt)
+    result = fitted(starts=3, watch=only(SearchProgress, interrupt))
     assert result.interrupted
     assert not result.converged
     assert len(result.history) == 1
@@ -76,7 +78,7 @@ def interrupted_in(part):
         if part in text:
             signal.raise_signal(signal.SIGINT)
 
-    result = fitted(intervals=0.95, stage=interrupt)
+    result = fitted(intervals=0.95, watch=only(str, interrupt))
     assert result.interrupted
     assert result.converged
     assert says(result.notes[-1], "Interrupted")
@@ -99,7 +101,8 @@ def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
         if now.configuration == held_out[1].name:
             signal.raise_signal(signal.SIGINT)
 
-    result = fitted(validation=held_out, equilibrium_progress=interrupt)
+    watch = only(EquilibriumProgress, interrupt)
+    result = fitted(validation=held_out, watch=watch)
     assert result.interrupted
     assert result.converged
     assert result.value("E") == pytest.approx(whole.value("E"), rel=1e-9)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import foldnorm
+from watching import only
 from wording import says
 
 from softcal_jax.actuators import Cable
@@ -21,6 +22,7 @@ from softcal_jax.configurations import (
 from softcal_jax.control import Limits
 from softcal_jax.designs import (
     Change,
+    DesignResult,
     Peak,
     Printing,
     design,
@@ -119,7 +121,7 @@ def made(wanted, answers):
         limits=RANGE,
         foam=published_foam(),
         starts=1,
-        answer=answers.append,
+        watch=only(DesignResult, answers.append),
     )
 
 

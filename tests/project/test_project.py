@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from small_project import E_TRUE, write_small_project
+from watching import only
 from wording import says
 
+from softcal_jax.calibration import HistoryEntry
 from softcal_jax.calibration._configuration_result import displaced
 from softcal_jax.configurations import configuration_lanes
 from softcal_jax.materials import Corotational, NeoHookean, StVenantKirchhoff
@@ -103,7 +105,7 @@ def test_calibrate_and_simulate(tmp_path):
     """E of the recordings comes back; the history starts where the file says."""
     project = load_project(write_small_project(tmp_path))
     seen = []
-    result = project.calibrate(progress=seen.append)
+    result = project.calibrate(watch=only(HistoryEntry, seen.append))
     assert result.converged
     # The recordings hold a picometre: 1e-12 of a motion of 6e-4 m.
     np.testing.assert_allclose(result.value("E"), E_TRUE, rtol=1e-8)

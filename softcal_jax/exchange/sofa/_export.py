@@ -6,7 +6,7 @@ The numbers of a scene are its law, and supports, loads, actuators and effectors
 import io
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any, get_args
@@ -18,7 +18,7 @@ from softcal_jax import actuators
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.calibration import CalibrationResult, HistoryEntry
+from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -350,7 +350,7 @@ def export_sofa(
     law: SofaLaw = "same",
     rotation: SofaRotation = "edge",
     force: bool = False,
-    progress: Callable[[HistoryEntry], None] | None = None,
+    watch: Watch | None = None,
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
 
@@ -372,7 +372,7 @@ def export_sofa(
         rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
             fibre take that of the plugin Anisotropy.
         force: Replace an earlier scene; files that a user added stay.
-        progress: Called after each step of the calibration.
+        watch: Called with what the calibration does, see `calibrate`.
 
     Raises:
         ResultError: If the result cannot be loaded, see `load_result`.
@@ -401,7 +401,7 @@ def export_sofa(
     model = model_for_law(model, sofa_law)
     # Refused before the work is done.
     component_of(model.law, model.n_tets, release, SCALES[units])
-    refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
+    refit = formats.recalibrate(loaded, project, model, "SOFA", watch)
     refitted = refit.result
     fitted = refitted.model, refitted.space, refitted.z, *refit.solved
     scene = scene_data(project.name, *fitted, release=release, units=units)

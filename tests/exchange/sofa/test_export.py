@@ -104,7 +104,7 @@ def test_a_rigid_body_is_refused_before_a_calibration_begins(results, tmp_path):
     project, steps = dataclasses.replace(loaded.project, model=model), []
     loaded = dataclasses.replace(loaded, project=project)
     with pytest.raises(ValueError, match=r"rigid bodies \(plate\)"):
-        export_sofa(loaded, tmp_path / "scene", progress=steps.append)
+        export_sofa(loaded, tmp_path / "scene", watch=steps.append)
     assert steps == []
     assert not (tmp_path / "scene").exists()
 
