@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 import tomllib
 import typing
 from importlib.metadata import PackageNotFoundError, distribution
@@ -254,6 +255,16 @@ def test_the_names_that_are_shown_exist(page):
             if not hasattr(value, name):  # a package that is not imported yet
                 importlib.import_module(".".join(["softcal_jax", *names[:i]]))
             value = getattr(value, name)
+
+
+def test_the_loop_of_the_readme_is_that_of_the_code():
+    text = (ROOT / "README.md").read_text()
+    name, shown = re.findall(
+        r"<!-- source: (\S+) -->\n```python\n(.*?)```", text, re.S
+    )[0]
+    module, _, function = name.rpartition(".")
+    source = inspect.getsource(getattr(importlib.import_module(module), function))
+    assert shown in textwrap.dedent(source[source.index("    while") :])
 
 
 def test_the_pictures_of_the_guide_are_small_and_shown():

@@ -23,6 +23,34 @@ from softcal_jax.calibration._step import (
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.unknowns import Problem
 
+
+def descend(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    note: Callable[[CalibrationState], None],
+    enough: Callable[[CalibrationState], bool] = lambda _: False,
+) -> CalibrationState:
+    """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
+
+    The loop of the paper, Sec. III. A step is several programs instead of one: the
+    evaluation, which takes seconds to compile, serves the start and every step. `note`
+    is called after each step, and `enough` says whether to stop before the end.
+    """
+    space, most = evaluate.numbered.space, settings.max_steps
+    while not (state.ended or state.step >= most or enough(state)):
+        # The bounded QP for lambda_p, Eqs. (10) and (11).
+        step = propose(space, settings, state)
+        tried = state.evaluation
+        if not step.vanishes:
+            # Equilibria with p + S lambda_p, their errors and W_ep, Eqs. (7) to (9).
+            before = tried.equilibrium.displacement
+            tried = evaluate(step.z, step.guess, before, step.precise)
+        state = decide(space, settings, state, step, tried)
+        note(state)
+    return state
+
+
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
 
@@ -60,33 +88,6 @@ class Run(Module):
     steps: int
     converged: bool
     errors: Float[HostArray, " n_steps"]
-
-
-def descend(
-    evaluate: Evaluator,
-    settings: CalibrationSettings,
-    state: CalibrationState,
-    note: Callable[[CalibrationState], None],
-    enough: Callable[[CalibrationState], bool] = lambda _: False,
-) -> CalibrationState:
-    """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
-
-    A step is several programs instead of one: the evaluation, which takes seconds to
-    compile, serves the start and every step. `note` is called after each step, and
-    `enough` says whether to stop before the end.
-    """
-    space = evaluate.numbered.space
-    while not (state.converged or state.stalled or not state.evaluation.ok) and (
-        state.step < settings.max_steps and not enough(state)
-    ):
-        proposal = propose(space, settings, state)
-        tried = state.evaluation
-        if not proposal.vanishes:
-            before = tried.equilibrium.displacement
-            tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
-        state = decide(space, settings, state, proposal, tried)
-        note(state)
-    return state
 
 
 def minimise(

@@ -124,6 +124,11 @@ class CalibrationState(Module):
     stalled: Bool[Array, ""]
     least_fall: Float[Array, ""]
 
+    @property
+    def ended(self) -> bool:
+        """Whether no step leads on."""
+        return bool(self.converged or self.stalled or not self.evaluation.ok)
+
 
 def initial_state(
     settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation

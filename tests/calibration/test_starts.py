@@ -454,7 +454,7 @@ def ends(thetas, costs, converged=None):
     p[:, 4] = np.deg2rad(thetas)
     z = np.array([SPACE.to_scaled(jnp.asarray(row)) for row in p])
     flags = np.ones(len(thetas), bool) if converged is None else np.array(converged)
-    cost = np.array(costs, float)
+    cost, good = np.array(costs, float), np.flatnonzero(flags).tolist()
     return MultiStartResult(
         names=tuple(SPACE.names),
         starts=p,
@@ -464,7 +464,7 @@ def ends(thetas, costs, converged=None):
         steps=np.full(len(thetas), 7),
         converged=flags,
         errors=np.zeros((len(thetas), 13)),
-        optima=_optima(SPACE, [(cost[i], z[i], i) for i in np.flatnonzero(flags)]),
+        optima=_optima(SPACE, [(cost[i], z[i], i) for i in good]),
     )
 
 
