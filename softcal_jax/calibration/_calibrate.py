@@ -117,9 +117,11 @@ def calibrate(
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
             disk, the calibration goes on with a warning and a note.
-        watch: Called with what happens, see `Event`; with steps of a search from its
-            threads, one at a time. A result so far has the standard errors by the noise
-            alone, and its `left_out` says what is still to come. By default, on a
+        watch: Called with what happens: a text says what is computed next; a
+            `HistoryEntry`, a `SearchProgress` or an `EquilibriumProgress` is a step of
+            the fit, of a search (in its threads, one at a time) or of equilibria from
+            rest; a `CalibrationResult` is the result so far, with standard errors by
+            the noise alone, and its `left_out` says what is to come. By default, on a
             terminal and in notebooks, a line says what is under way; False switches it
             off.
 

@@ -124,7 +124,7 @@ def design(
         seed: Seed of the random starts.
         settings: Settings of the loop.
         newton: Settings of the equilibrium.
-        watch: Called with what happens, see `calibration.Event`, and with the design
+        watch: Called with what happens, as that of `calibrate`, but with the design
             before anything is compared with it. By default, on a terminal and in
             notebooks, a line says what is under way; False switches it off.
 

@@ -27,7 +27,7 @@ class ExportProgress(NamedTuple):
 
     Attributes:
         begins: Says what begins, like "calibrating the model of SOFA".
-        watch: Shows what a calibration does, see `calibration.Event`.
+        watch: Shows what a calibration does, as the `watch` of `calibrate`.
         computed: Shows what was computed for the export, in lines.
     """
 
