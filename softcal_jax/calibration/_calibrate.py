@@ -22,7 +22,7 @@ from softcal_jax.calibration._checked_intervals import (
     with_intervals,
 )
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
-from softcal_jax.calibration._fit import Event, Resume, Watch, fit
+from softcal_jax.calibration._fit import Resume, Watch, fit
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
     warn_if_locking,
@@ -119,11 +119,11 @@ def calibrate(
             disk, the calibration goes on with a warning and a note.
         watch: Called with what happens: a text says what is computed next; a
             `HistoryEntry`, a `SearchProgress` or an `EquilibriumProgress` is a step of
-            the fit, of a search (in its threads, one at a time) or of equilibria from
-            rest; a `CalibrationResult` is the result so far, with standard errors by
-            the noise alone, and its `left_out` says what is to come. By default, on a
-            terminal and in notebooks, a line says what is under way; False switches it
-            off.
+            the fit, of a search or of equilibria from rest (the last two in threads,
+            one at a time); a `CalibrationResult` is the result so far, with standard
+            errors by the noise alone, and its `left_out` says what is to come. By
+            default, on a terminal and in notebooks, a line says what is under way;
+            False switches it off.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
@@ -173,37 +173,31 @@ def calibrate(
         intervals=intervals,
     )
     with progress_line(wanted=watch is None) as line:
-        result = _with_intervals(problem, options, watch or line, checkpoint)
+        told = watch or line
+        first = fit(problem, options, told, answers=bool(watch), checkpoint=checkpoint)
+        result = _with_intervals(problem, options, told, first)
     return replace(result, repeated=repeated)
 
 
 def _with_intervals(
-    problem: Problem,
-    options: FitOptions,
-    watch: Watch | None,
-    checkpoint: str | os.PathLike[str] | None,
+    problem: Problem, options: FitOptions, watch: Watch | None, first: Fitted
 ) -> CalibrationResult:
-    """Fit, and find the intervals of the parameters if they are asked for."""
-    first = fit(problem, options, watch, checkpoint=checkpoint)
+    """Find the intervals of the parameters after a first fit, if they are asked for."""
     intervals = options.intervals
     if intervals is None or first.result.interrupted:
         return first.result
-
-    def again(event: Event) -> None:
-        if watch is not None and not isinstance(event, CalibrationResult):
-            watch(event)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old = done.result
         assert old.noise is not None
         resume = Resume(z, old.noise, old.history)
-        new = fit(problem, options._replace(starts=1), again, resume=resume)
+        new = fit(problem, options._replace(starts=1), watch, resume=resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         result = replace(new.result, starts=old.starts, timing_s=timing)
         return new._replace(result=result)
 
     try:
-        return with_intervals(first, intervals, go_on, again)
+        return with_intervals(first, intervals, go_on, watch or (lambda _: None))
     except KeyboardInterrupt:
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)

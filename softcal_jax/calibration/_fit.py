@@ -109,10 +109,14 @@ def fit(
     options: FitOptions,
     watch: Watch | None,
     *,
+    answers: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
     resume: Resume | None = None,
 ) -> Fitted:
-    """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
+    """Calibrate as `calibrate` does, without intervals, or go on from a `resume`.
+
+    With `answers`, the watch is told the result so far, which takes a moment.
+    """
     tell = watch or (lambda _: None)
     # A checkpoint is of one set of starts and one noise.
     first = () if options.start is None else tuple(options.start.tolist())
@@ -144,8 +148,8 @@ def fit(
         solved = _Solved(options, start, search, weighed, predicted, journal, clock)
         open_ = (BUDGET,) if options.intervals is None else (BUDGET, INTERVALS)
         so_far = cache(lambda: replace(_result(solved), left_out=open_))
-        if watch is not None:
-            watch(so_far())
+        if answers:
+            tell(so_far())
         if journal.interrupted:
             result = so_far()
         else:

@@ -29,8 +29,8 @@ SLIGHT = 1e-7  # violation of a row that BoxOSQP may leave, for unit data [-]
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
 
-KKT_TOLERANCE = 1e-6  # optimality residual at which a step is one, of unit data [-]
-MOST_LEFT, MOST_ITERATIONS = 1e-8, 1000  # residual and iterations at BoxOSQP's end
+KKT_TOLERANCE = 1e-6  # largest optimality residual with which a step is trusted [-]
+MOST_LEFT, MOST_ITERATIONS = 1e-8, 1000  # at which BoxOSQP stops
 SOLVED = 1e-12  # optimality residual at which a point is not polished any further [-]
 FLATTEST = 1e-8  # smallest curvature of the convex model, relative to the largest [-]
 

@@ -267,7 +267,7 @@ def watch_lines(
     step: "Callable[[HistoryEntry], None]",
     so_far: Callable[[Any], None] = lambda _: None,
 ) -> Callable[[Any], None]:
-    """Return a `watch` that shows what happens; lines that stay are its arguments'."""
+    """Return a `watch` that shows what happens; `step` and `so_far` print lines."""
     from softcal_jax.calibration import HistoryEntry, SearchProgress
     from softcal_jax.equilibrium import EquilibriumProgress
 

@@ -156,8 +156,9 @@ def design(
             "robust: nothing that is designed has errors of printing; leave it out."
         )
     tell = watch or (lambda _: None)
-    # A result of a fit is no design yet.
-    of_fit = _part_of(watch, lambda event: not isinstance(event, CalibrationResult))
+    # A result of a fit is no design yet, and a design has no error budget.
+    is_step = lambda event: not isinstance(event, str | CalibrationResult)
+    of_fit = _part_of(watch, is_step)
     options = seed, settings or LOOP, newton, of_fit
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
     fit = _fit(asked, space, starts=starts)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import nan
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -120,7 +120,7 @@ def recalibrate(
     project: Project,
     model: Model,
     program: str,
-    watch: Watch | None,
+    watch: Watch | Literal[False] | None,
 ) -> Recalibration:
     """Fit the model of a program to the same measurements, from calibrated values.
 

@@ -6,7 +6,7 @@ Written as XML (MJCF): body, actuators, loads, and a keyframe per configuration.
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ def export_mujoco(
     directory: str | os.PathLike[str],
     *,
     force: bool = False,
-    watch: Watch | None = None,
+    watch: Watch | Literal[False] | None = None,
 ) -> MujocoExport:
     """Write a calibrated robot as a model of MuJoCo, calibrated again for it.
 

@@ -35,9 +35,9 @@ SHORTER = 0.3
 """Factor on the largest step about a simulation from which one went wrong [-]."""
 
 MISPLACED = 4.0
-"""Distance over what is left of the residuals from which a marker is misplaced [-].
+"""How far off its place a marker must be, over the rms that is left, to be named [-].
 
-Less is what a marker's place makes up for where the model errs.
+A shorter shift may only make up for errors of the model.
 """
 
 MOST_SIMULATED = 4  # most simulations of all poses for each kind of change

@@ -20,7 +20,7 @@ from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration import Evaluator
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import ConfigurationArrays, ConfigurationLanes
 from softcal_jax.equilibrium import Workers
 from softcal_jax.mesh import box_faces, volumes
 from softcal_jax.mistakes._readings import (
@@ -100,7 +100,8 @@ class Simulator:
         if not lanes:
             return
         posed = stacked([self._posed(*lane) for lane in lanes])
-        problem = replace(self.problem, configurations=posed, noise=None)
+        alone = ConfigurationLanes(posed, ())
+        problem = replace(self.problem.bare, lanes=alone, noise=None)
         evaluate, on_device = Evaluator(problem, self.workers), jax.device_put(z)
         if lanes[0] in self._near:
             near = jax.device_put(np.stack([self._near[lane] for lane in lanes]))

@@ -260,10 +260,11 @@ def _misread(model: Model, seen: _Seen) -> Iterator[str]:
             f"{seen.key}: nothing acts, but markers moved, {seen.moved(most)}. State "
             "gravity and loads, or correct the places of the markers or the frame."
         )
-    names = () if seen.c.markers is None else seen.c.markers.names
-    markers = np.array([record.name in names for record in seen.points])
-    still = seen.before is None and np.all((sizes < TAKEN * seen.noise)[markers])
-    if acts and still and markers.sum() > 1:
+    # The place of a frame is that of its body, and not read.
+    names = [] if seen.c.markers is None else seen.c.markers.names
+    read = np.array([record.name in names or not names for record in seen.points])
+    still = seen.before is None and np.all((sizes < TAKEN * seen.noise)[read])
+    if acts and still and read.sum() > 1:
         yield (
             f"{seen.key}: every marker was measured at its place at rest, although "
             f"{listed(acts)} acts. Places that were read in this pose are not those at "

@@ -295,7 +295,7 @@ class Project(Module):
         Args:
             values: Values of all parameters by name, in SI units, such as those of
                 `load_values`; by default their start.
-            progress: Called as `calibrate` calls its `equilibrium_progress`.
+            progress: Called with each step of an equilibrium, and before the first.
 
         Raises:
             ProjectError: If there are no configurations, a parameter has no value, or

@@ -1,4 +1,4 @@
-"""A calibration as a problem, and every unknown of it: what is computed, from what."""
+"""A calibration as a problem: its arrays, its noise, and all its unknowns."""
 
 from softcal_jax.unknowns._considered import (
     compile_considered as compile_considered,

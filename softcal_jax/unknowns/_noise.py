@@ -60,7 +60,7 @@ CREEP = "creep"
 RECORDINGS = OFFSETS.uncertain  # name of the offsets of recordings in the budget
 
 AT_REST = 1e-12
-"""Difference of a reading from rest that is rounding [m, rad]."""
+"""Difference of a reading from rest that is rounding, over its largest number [-]."""
 
 AnyArray = Array | HostArray
 
@@ -189,7 +189,8 @@ def read_once(
     """Leave a reading out where it stands a second time: it has one error.
 
     Readings are the same if all effectors that two configurations measured agree to the
-    last digit, in more than one number away from rest: one alone may agree by chance.
+    last digit, in more than one number away from rest, up to rounding: one alone may
+    agree by chance.
     References of displacements keep theirs; of other configurations the first does.
 
     Returns:
@@ -204,11 +205,11 @@ def read_once(
         # Of a turn, the orientation from which it counts is what was measured.
         numbers = lambda e: np.append(e.measured, e.reference)
         rest = lambda e: np.append(np.nan_to_num(e.at_rest), np.eye(3))
+        near = lambda a, b: ~(np.abs(a - b) > AT_REST * np.nanmax(np.abs(a)))
         read = {key(e): numbers(e) for e in records[c] if e.seen.any()}
         for first, other in {} if names[c] in references else kept.items():
             same = [e for e in records[c] if key(e) in read.keys() & other.keys()]
-            off = [np.abs(numbers(e) - rest(e)) for e in same]
-            moved = sum(np.nansum(of_one > AT_REST) for of_one in off)
+            moved = sum(np.sum(~near(numbers(e), rest(e))) for e in same)
             alike = [np.array_equal(read[key(e)], other[key(e)], True) for e in same]
             if moved < 2 or not all(alike):
                 continue

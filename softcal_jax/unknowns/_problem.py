@@ -22,7 +22,7 @@ from softcal_jax.unknowns._noise import CorrelatedNoise
 
 
 class Problem(Module):
-    """A model, its parameters, and the poses that tell of them.
+    """A model, its parameters, and the poses that inform them.
 
     Programs compute with its arrays alone, see `numbered`: descriptions of the poses,
     records of their effectors and names stand beside these.

@@ -15,9 +15,7 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.configurations import (
-    ConfigurationArrays,
-)
+from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (

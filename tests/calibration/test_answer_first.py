@@ -16,6 +16,7 @@ from softcal_jax.calibration import (
     _evaluation,
     calibrate,
 )
+from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.equilibrium import Program, Workers, _workers
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import assess, identify
@@ -95,14 +96,15 @@ def test_a_line_says_what_nobody_listens_to(monkeypatch, full, watch):
     def line(*, wanted):
         yield shown.append if wanted else None
 
-    def told(problem, options, watch, checkpoint):
-        watches.append(watch)
-        return full[1]
+    def fit(problem, options, watch, **more):
+        watches.append((watch, more["answers"]))
+        return Fitted(replace(full[1], interrupted=True), problem, None)
 
     monkeypatch.setattr(_calibrate, "progress_line", line)
-    monkeypatch.setattr(_calibrate, "_with_intervals", told)
+    monkeypatch.setattr(_calibrate, "fit", fit)
     calibrate(MODEL, unknowns(), measured(), watch=watch)
-    (told,) = watches
+    ((told, answers),) = watches
+    assert answers == (watch is print)  # a line has no room for a result
     assert (told is print) == (watch is print)
     if watch is False:
         assert told is None

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import meshio
 import numpy as np
@@ -350,7 +350,7 @@ def export_sofa(
     law: SofaLaw = "same",
     rotation: SofaRotation = "edge",
     force: bool = False,
-    watch: Watch | None = None,
+    watch: Watch | Literal[False] | None = None,
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
 
