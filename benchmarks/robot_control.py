@@ -4,8 +4,9 @@ Twenty goals are poses that the printed robot (`_robot.py`) takes at random angl
 its motors, so that it can reach each. The model says which angles they need, from its
 working point; the printed robot is commanded these, and the error is that of its rod.
 A hundred more goals are poses that the ordered model takes itself, and two more lie
-beyond the farthest of these. `out_of_reach_over_reachable` is the longer search for the
-nearest point to one of the two over the mean search for one of the hundred, in time.
+beyond the farthest of these. `out_of_reach_over_reachable` is how long the slower of
+these two searches takes, over the mean time for one of the hundred; the first of them
+compiles.
 
 What the errors come from, at fixed commands, where a model shows the goal and the
 printed robot what it makes of it:
