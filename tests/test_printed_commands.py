@@ -64,8 +64,12 @@ class Block(NamedTuple):
 
 
 def blocks(page):
-    """The blocks of commands and of Python, and those without a language."""
-    found = re.findall(r"(?ms)^```([^\n]*)$\n(.*?)^```$", page.read_text("utf-8"))
+    """The blocks of commands and of Python, and those without a language.
+
+    A listing of the package's own source is none.
+    """
+    text = re.sub(r"(?ms)^<!-- source: .*?^```$", "", page.read_text("utf-8"))
+    found = re.findall(r"(?ms)^```([^\n]*)$\n(.*?)^```$", text)
     run = ("sh", "bash", "", "python")
     return [Block(language, text) for language, text in found if language in run]
 

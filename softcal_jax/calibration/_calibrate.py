@@ -159,10 +159,9 @@ def calibrate(
         as_sequence(validation),
         newton=newton or NewtonSettings(),
         uncertain=uncertain or Uncertain(),
+        deviations=deviations,
         goals=goals,
     )
-    if deviations is not None:
-        problem = replace(problem, deviations=_deviations(problem, deviations))
     options = FitOptions(
         noise=noise,
         settings=settings or CalibrationSettings(),
@@ -212,6 +211,7 @@ def _checked_problem(
     *,
     newton: NewtonSettings,
     uncertain: Uncertain,
+    deviations: Float[Array, "n_c n_p"] | None,
     goals: bool,
 ) -> tuple[Problem, str]:
     """Stack all configurations, and check them before the first solve.
@@ -220,8 +220,10 @@ def _checked_problem(
     """
     poses = (*fitted, *held_out)
     problem, repeats = _problem(model, space, poses, newton, uncertain, goals)
-    check_scopes(space, fitted)
     problem = replace(problem, n_held_out=len(held_out))
+    if deviations is not None:
+        problem = replace(problem, deviations=_deviations(problem, deviations))
+    check_scopes(space, fitted)
     check_effects(problem.fitted)
     check_references(poses, problem.records, fitted=fitted)
     warn_if_too_few_data(problem.fitted)

@@ -35,7 +35,8 @@ def test_the_residual_is_relative_to_the_forces(contrast):
     """To the larger of external and internal force, whatever is stiffest.
 
     A floor by the stiffest region would hide most of it. Newton's method is stopped
-    early, as another program does not repeat rounding: 4e-10 for the stiff body.
+    early, as another program does not repeat rounding: for the stiff body some 1e-9,
+    other on each processor, a hundredth of what is said of it.
     """
     model = body(contrast)
     solution = solve(model, LANES, NewtonSettings(rtol=1e-3))
@@ -46,7 +47,8 @@ def test_the_residual_is_relative_to_the_forces(contrast):
     residual = np.linalg.norm(free) / scale
     assert residual > 5e-9
     solved = solution.residual[HANGING]
-    np.testing.assert_allclose(solved, residual, rtol=1e-3, atol=1e-9)
+    rounding = 0.02 * float(solution.rounding[HANGING])
+    np.testing.assert_allclose(solved, residual, rtol=1e-3, atol=rounding)
 
 
 def test_rounding_that_stopped_the_solve_is_said():
