@@ -34,21 +34,19 @@ def body(contrast):
 def test_the_residual_is_relative_to_the_forces(contrast):
     """To the larger of external and internal force, whatever is stiffest.
 
-    A floor by the stiffest region would hide most of it. Newton's method is stopped
-    early, as another program does not repeat rounding: for the stiff body some 1e-9,
-    other on each processor, a hundredth of what is said of it.
+    A floor by the stiffest region would hide most of it. Newton's method is stopped far
+    from its end, as another program does not repeat rounding.
     """
     model = body(contrast)
-    solution = solve(model, LANES, NewtonSettings(rtol=1e-3))
+    solution = solve(model, LANES, NewtonSettings(rtol=0.1))
     inside = internal_force(model, solution.displacement[HANGING])
     outside = Posed.of(model, lane(LANES, HANGING)).f_ext
     free = np.where(lane(LANES, HANGING).fixed, 0.0, inside - outside)
     scale = max(np.linalg.norm(inside), np.linalg.norm(outside))
     residual = np.linalg.norm(free) / scale
-    assert residual > 5e-9
+    assert residual > 1e-3
     solved = solution.residual[HANGING]
-    rounding = 0.02 * float(solution.rounding[HANGING])
-    np.testing.assert_allclose(solved, residual, rtol=1e-3, atol=rounding)
+    np.testing.assert_allclose(solved, residual, rtol=1e-6)
 
 
 def test_rounding_that_stopped_the_solve_is_said():
