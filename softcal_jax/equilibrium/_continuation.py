@@ -193,6 +193,9 @@ would leave a less accurate tangent to the sensitivities.
 MOST_CHORDS = 3
 """Most chord steps that may remain at the last rate; else take a Newton step."""
 
+REFINEMENTS = 3
+"""Refinements by the last factor that bring a solution to the tangent beside it."""
+
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
 
@@ -240,6 +243,7 @@ def continue_equilibrium(
     settings: NewtonSettings,
     before: Nodal | None = None,
     precise: bool | Bool[Array, ""] = False,
+    rows: int = 1,
 ) -> tuple[EquilibriumSolution, Linearisation]:
     """Find the equilibrium near a guess, and the linear system there.
 
@@ -252,7 +256,8 @@ def continue_equilibrium(
     The last digits come from steps on the last factor (chord steps). The linear system
     is stated at the equilibrium, but its tangent is that before the last Newton step,
     so its error is of the order of that step. If `precise`, it is assembled once more,
-    and solved by refinement with the last factor. (Rows of parameters are always those
+    and factorized if that takes less time than refining as many right-hand sides with
+    the last factor as will be asked for, `rows`. (Rows of parameters are always those
     at the equilibrium, or a direction without effect would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
@@ -263,7 +268,7 @@ def continue_equilibrium(
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
     tabulated = posed._replace(model=posed.model.tabulated())
-    quick = _QuickSteps(tabulated, settings, most, precise)
+    quick = _QuickSteps(tabulated, settings, most, precise, rows)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.point.u, state.lambda_a
@@ -303,6 +308,7 @@ class _QuickSteps(NamedTuple):
     settings: NewtonSettings
     most: Int[Array, ""]
     precise: bool | Bool[Array, ""]
+    rows: int
 
     @property
     def model(self) -> Model:
@@ -321,7 +327,8 @@ class _QuickSteps(NamedTuple):
         size = self.residual(point, lambda_a)
         # Along straight lines, as the guess was extrapolated.
         du = jnp.zeros_like(guess) if before is None else guess - before
-        strains, exact = no_strains(self.model), (size <= NEAR) | (before is None)
+        still = ~jnp.any(du != 0.0)
+        strains, exact = no_strains(self.model), (size <= NEAR) | still
         return _Quick(
             point=point,
             lambda_a=lambda_a,
@@ -378,8 +385,10 @@ class _QuickSteps(NamedTuple):
             lambda: predict(self.model, s.u, s.du, s.strains, s.was_exact),
         )
         exact = s.exact | ~usable
+        refined = self.model.solver.worth >= REFINEMENTS * (1 + self.rows)
+        near = s.arrived & refined
         newton_step = lambda: self.newton_step(
-            s.point, s.lambda_a, strains, exact, s.arrived
+            s.point, s.lambda_a, strains, exact, near
         )
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()

@@ -165,12 +165,18 @@ def equilibrium_response(
     def lane(model, space, z, configuration, guess, before, precise):
         model = eqx.combine(model, rest)
         model, configuration = space.apply(model, configuration, z)
+        n_p, n_e = z.shape[0], configuration.effectors.measured.size
+        adjoint = n_p > max(n_e, FEW_PARAMETERS)
         equilibrium, linearisation = continue_equilibrium(
-            model, configuration, guess, settings=newton, before=before, precise=precise
+            model,
+            configuration,
+            guess,
+            settings=newton,
+            before=before,
+            precise=precise,
+            rows=n_e if adjoint else n_p,
         )
         rows = parameter_rows(linearisation, space, z)
-        most = max(configuration.effectors.measured.size, FEW_PARAMETERS)
-        adjoint = z.shape[0] > most
         changes = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
         ok = changes.ok & equilibrium.converged
         or_zero = lambda a: jnp.where(ok, a, 0.0)

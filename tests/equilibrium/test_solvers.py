@@ -365,3 +365,38 @@ def test_a_matrix_near_the_last_is_solved_by_its_factors():
             assert bool(ok)
             assert (int(n_negative) >= 0) == factorized
             assert np.all(left <= REFINED * np.linalg.norm(rows, axis=1))
+
+
+def test_a_matrix_is_factorized_where_that_takes_less_time_than_refining():
+    """Three refinements are made if a factorization takes the time of many solves."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    solver = small_model("pardiso").solver
+    random, sparsity = np.random.default_rng(0), solver.sparsity
+    values = 0.01 * random.normal(size=sparsity.nnz)
+    values[sparsity.diagonal] = 1.0
+    other = jnp.asarray(values + 1e-3 * random.normal(size=sparsity.nnz))
+    rhs = random.normal(size=(2, sparsity.n_dof))
+
+    @jax.jit
+    def solved_with(work, values, other, rhs):
+        costly = eqx.tree_at(lambda s: s.work, solver, work)
+        first = costly.factor_solve(values, rhs)
+        return costly.solve_near(other, rhs + 0.0 * first.x)
+
+    operations = 1e-6 * 20.0 * float(solver.entries)  # in the time of a solve
+    for solves, factorized in ((2.0, True), (20.0, False)):
+        solved = solved_with(jnp.asarray(solves * operations), values, other, rhs)
+        assert bool(solved.ok)
+        assert (int(solved.n_negative) >= 0) == factorized, solves
+        left = jax.vmap(lambda row: product(sparsity, other, row))(solved.x) - rhs
+        assert np.all(np.abs(left) <= 1e-5)
+
+
+def test_a_factorization_takes_the_time_of_more_solves_in_a_bulky_body():
+    """As counted by PARDISO; of thin ones, factors are hardly larger than matrices."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    model = lambda cells: build_model(
+        beam(1.0, 1.0, 1.0, cells), NeoHookean(1e5, 0.4), density=0.0, solver="pardiso"
+    )
+    thin, bulky = (float(model(n).solver.worth) for n in ((24, 24, 1), (12, 12, 12)))
+    assert 1.0 < thin < 0.3 * bulky
