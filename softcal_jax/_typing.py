@@ -1,5 +1,10 @@
 """Array annotations used across the package: named axes, no runtime cost."""
 
+from types import ModuleType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
@@ -13,4 +18,12 @@ def is_traced(value: object) -> bool:
     return isinstance(value, Tracer)
 
 
-__all__ = ["Array", "Bool", "Float", "HostArray", "Int", "is_traced"]
+def numpy_of(*values: object) -> ModuleType:
+    """Return `jax.numpy` if a value is traced, and NumPy if all are known.
+
+    Outside a program, JAX would compile one for each operation.
+    """
+    return jnp if any(map(is_traced, jax.tree.leaves(values))) else np
+
+
+__all__ = ["Array", "Bool", "Float", "HostArray", "Int", "is_traced", "numpy_of"]

@@ -407,13 +407,14 @@ def whole_interval(
             wider.append(ProfileEnd(room, "bound"))
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
-    parameter, z = result.space.parameters[column], result.z[column]
+    parameter = result.space.parameters[column]
+    z = float(np.asarray(result.z)[column])
     return interval_between(parameter, z, wider, level=level, kind=kind)
 
 
 def interval_between(
     parameter: Parameter,
-    z: Float[Array, ""],
+    z: float,
     ends: Sequence[ProfileEnd],
     *,
     level: float,
@@ -421,13 +422,15 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
+    at = lambda by: jax.device_put(np.asarray(z + by))
+    value_at = lambda by: float(parameter.from_scaled(at(by)))
     whys: list[str] = [end.why for end in ends]
     why = ""
     if "not found" in whys:
         kind, why = "none", "fits along its profile do not converge"
         for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
             if end.why == "likelihood":
-                values = [float(parameter.from_scaled(z + sign * end.distance))]
+                values = [value_at(sign * end.distance)]
                 why += f" (the end {side} is {readable_values(values, parameter.unit)})"
     elif whys == ["bound", "bound"]:
         kind, why = "none", "the data exclude no value within its bounds"
@@ -436,8 +439,8 @@ def interval_between(
     return ParameterInterval(
         name=parameter.name,
         level=level,
-        lower=float(parameter.from_scaled(z - low.distance)),
-        upper=float(parameter.from_scaled(z + high.distance)),
+        lower=value_at(-low.distance),
+        upper=value_at(high.distance),
         lower_end=low.why,
         upper_end=high.why,
         unit=parameter.unit,

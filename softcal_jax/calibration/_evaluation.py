@@ -13,7 +13,7 @@ import numpy as np
 from softcal_jax._files import digest_of
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray, numpy_of
 from softcal_jax.calibration._problem import linear_model
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -106,7 +106,11 @@ def effector_errors(
 ) -> Float[Array, "n_c n_rows 3"]:
     """Return Delta_e, simulated minus measured values; 0 where nothing is measured."""
     effectors = problem.configurations.effectors
-    return jnp.where(effectors.inverse_std > 0.0, e - effectors.measured, 0.0)
+    xp = numpy_of(effectors, e)
+    weight, measured, e = map(
+        xp.asarray, (effectors.inverse_std, effectors.measured, e)
+    )
+    return jax.device_put(xp.where(weight > 0.0, e - measured, 0.0))
 
 
 @eqx.filter_jit
@@ -216,8 +220,10 @@ class Evaluator:
         before: Float[Array, "n_lanes n_points 3"] | None,
         precise: bool | Bool[Array, ""],
     ) -> list[Response]:
-        states = zip(guess, guess if before is None else before, strict=True)
-        each, exact = zip(lanes, states, strict=True), jnp.asarray(precise)
+        both = guess, guess if before is None else before
+        # Taken apart on the host: on the device, each shape compiles a program.
+        states = jax.device_put([*zip(*map(np.asarray, both), strict=True)])
+        each, exact = zip(lanes, states, strict=True), jax.device_put(precise)
         off = self.problem.deviations  # of the specimen of each lane
         arguments = [
             (z if off is None else z + off[c], self.lanes[c], *state, exact)
@@ -354,8 +360,9 @@ class Evaluator:
         response = _FROM_REST.pop(start, None)
         if response is None:
             every = range(len(self.lanes))
-            rest = jnp.zeros((self.problem.model.n_points, 3))
-            lane = z, self.lanes[0], rest, rest, jnp.asarray(False)
+            rest = jax.device_put(np.zeros((self.problem.model.n_points, 3)))
+            no = jax.device_put(np.array(False))
+            lane = z, self.lanes[0], rest, rest, no
             self.workers.ahead(lambda: (self._program, [lane]))
             solution = self.equilibria(z, report)
             solved()

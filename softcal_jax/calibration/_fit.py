@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -292,7 +293,7 @@ def _place(
     runs = search(
         evaluate,
         FROM_ANYWHERE,
-        jnp.concatenate([start.z[None], others]),
+        jax.device_put(np.concatenate([np.asarray(start.z)[None], others])),
         mirror=True,
         journal=journal,
         progress=tell,

@@ -289,14 +289,15 @@ def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
 
 def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
     """Name pairs of moduli that ended equal, at the limit of their prescribed order."""
-    A, b = space.order_rows()
-    held = list(np.asarray(A @ z - b) >= -EQUAL)
-    pairs = space.order_names()
-    chart = space.chart
+    pairs, chart, held = space.order_names(), space.chart, []
+    at = np.asarray(z)
+    if pairs:
+        A, b = map(np.asarray, space.order_rows())
+        held = list(A @ at - b >= -EQUAL)
     if chart is not None:
         for small, large in zip(chart.small, chart.large, strict=True):
             pairs.append((space.names[small], space.names[large]))
-            held.append(bool(z[large] - z[small] <= EQUAL))
+            held.append(bool(at[large] - at[small] <= EQUAL))
     return [
         f"{small} and {large} ended equal, at the limit of their order: the body is "
         "isotropic there, and the angle of its axis has no effect. Without `axes` the "

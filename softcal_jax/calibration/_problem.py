@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -46,13 +47,13 @@ class CalibrationSettings(Module):
             where it leads to no equilibrium.
     """
 
-    tol: float = eqx.field(static=True, default=1e-6, metadata=key(""))
-    max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float = eqx.field(static=True, default=0.3, metadata=key(""))
-    max_step_bound: float = eqx.field(static=True, default=0.5, metadata=key(""))
-    damping: float = eqx.field(static=True, default=DAMPING, metadata=key(""))
-    least_fall: float = eqx.field(static=True, default=1e-8)
-    least_cost: float = eqx.field(static=True, default=0.0)
+    tol: float = eqx.field(default=1e-6, metadata=key(""))
+    max_steps: int = 50
+    step_bound: float = eqx.field(default=0.3, metadata=key(""))
+    max_step_bound: float = eqx.field(default=0.5, metadata=key(""))
+    damping: float = eqx.field(default=DAMPING, metadata=key(""))
+    least_fall: float = 1e-8
+    least_cost: float = 0.0
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
@@ -73,6 +74,15 @@ class CalibrationSettings(Module):
             raise ValueError(
                 f"least_cost must be finite and not negative, got {self.least_cost}."
             )
+
+    def as_arrays(self) -> "CalibrationSettings":
+        """Return the settings as arrays, so that one compiled program serves all."""
+        return _as_arrays(self)
+
+
+@cache
+def _as_arrays(settings: CalibrationSettings) -> CalibrationSettings:
+    return jax.device_put(jax.tree.map(np.asarray, settings))
 
 
 def n_measured(problem: Problem) -> int:

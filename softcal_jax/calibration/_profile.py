@@ -5,7 +5,6 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -411,10 +410,11 @@ def room_beside(
     space: ParameterSpace, z: Float[Array | HostArray, " n_p"], column: int, sign: int
 ) -> float:
     """Return the distance to the bound of a parameter; half a turn if periodic."""
-    down, up = space.room(jax.device_put(z))
-    room = float(up[column] if sign > 0 else -down[column])
-    turn = float(space.upper()[column] - space.lower()[column])
-    return min(room, 0.5 * turn) if np.isinf(room) else room
+    each = np.asarray(z), np.asarray(space.lower()), np.asarray(space.upper())
+    here, low, high = (float(values[column]) for values in each)
+    if space.parameters[column].periodic:
+        return 0.5 * (high - low)
+    return high - here if sign > 0 else here - low
 
 
 @eqx.filter_jit

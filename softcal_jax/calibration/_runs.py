@@ -38,7 +38,7 @@ def descend(
     is called after each step, and `enough` says whether to stop before the end.
     """
     space, most = evaluate.numbered.space, settings.max_steps
-    while not (state.ended or state.step >= most or enough(state)):
+    while not (state.ended or int(state.step) >= most or enough(state)):
         # The bounded QP for lambda_p, Eqs. (10) and (11).
         step = propose(space, settings, state)
         tried = state.evaluation
@@ -72,8 +72,7 @@ the known optimum, but at least a tenth of the stated one, as exact data show no
 NO_FALL = 1e-6  # relative fall of the cost that is no way down [-]
 
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
-_shorter = eqx.filter_jit(lambda space, gap: space.shorter(gap))
-_room = eqx.filter_jit(lambda space, z: space.room(z))
+_way_and_room = eqx.filter_jit(lambda s, a, b: (s.shorter(b - a), *s.room(a)))
 
 
 class Run(Module):
@@ -271,10 +270,10 @@ def leads_to(space: ParameterSpace, state: CalibrationState, known: Basin) -> bo
         return False
     error, W = map(np.asarray, state.evaluation.rows)
     cost = lambda step: 0.5 * np.sum((error + W @ step) ** 2)
-    way = np.asarray(_shorter(space, jnp.asarray(known.z) - state.z))
+    ways = _way_and_room(space, state.z, jnp.asarray(known.z))
+    way, down, up = map(np.asarray, ways)
     if abs(cost(way) - known.cost) > FORETOLD * fall:
         return False
-    down, up = map(np.asarray, _room(space, state.z))
     # A bound that the known optimum has reached may be off by rounding.
     bounds = np.minimum(down, way) - 1e-12, np.maximum(up, way) + 1e-12
     measured = int(np.any(W, axis=1).sum())

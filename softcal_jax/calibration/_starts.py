@@ -6,6 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -89,7 +90,7 @@ def begin(
     solved = partial(tell, "how the poses depend on the parameters")
     first = evaluate.from_rest(z, report(), solved)
     solution = first.equilibrium
-    if solution.converged.all():
+    if np.all(np.asarray(solution.converged)):
         return Start(evaluate, z, first, ())
     without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
@@ -228,7 +229,7 @@ def search(
     a time, and must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
-    rows, n = list(map(jnp.asarray, np.asarray(starts))), 0
+    rows, n = jax.device_put([*np.asarray(starts)]), 0
     begun = [not_begun(settings, start, len(images)) for start in rows]
     begun = [journal.kept(f"run{i}", run) or run for i, run in enumerate(begun)]
 
@@ -309,12 +310,13 @@ def _optima(
     for end in sorted(ends, key=lambda end: end[0]):
         for group in groups:
             # The distance wraps: an angle just below 90 deg is close to one above -90.
-            if np.max(_distance(numbered, end[1], group[0][1])) <= SAME_OPTIMUM:
+            apart = np.asarray(_distance(numbered, end[1], group[0][1]))
+            if np.max(apart) <= SAME_OPTIMUM:
                 group.append(end)
                 break
         else:
             groups.append([end])
-    values = lambda z: map(float, from_scaled(numbered, z))
+    values = lambda z: np.asarray(from_scaled(numbered, z)).tolist()
     return tuple(
         Optimum(
             float(group[0][0]),

@@ -7,7 +7,7 @@ refused and grows when the model was right. The model is linear in the errors
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -134,22 +134,23 @@ def initial_state(
     settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
-    none = jnp.zeros((len(z), len(z)), z.dtype)
-    return CalibrationState(
-        z=z,
-        evaluation=evaluation,
-        curvature=Curvature(none, jnp.zeros((), bool)),
-        recent_costs=jnp.full(MEMORY, -jnp.inf, z.dtype).at[0].set(evaluation.cost),
-        step_bound=jnp.full((), settings.step_bound, z.dtype),
-        lambda_p=jnp.full_like(z, jnp.inf),
-        kkt_residual=jnp.zeros((), z.dtype),
-        by_polish=jnp.zeros((), bool),
-        accepted=jnp.ones((), bool),
-        step=jnp.zeros((), jnp.int32),
-        converged=jnp.zeros((), bool),
-        stalled=jnp.zeros((), bool),
-        least_fall=jnp.full((), settings.least_fall, z.dtype),
-    )
+    n, no = len(z), np.array(False)
+    costs = np.append(np.asarray(evaluation.cost), np.full(MEMORY - 1, -np.inf))
+    # From the host, since each of these would be a program.
+    state: Any = {
+        "curvature": Curvature(*jax.device_put((np.zeros((n, n)), no))),
+        "recent_costs": costs,
+        "step_bound": np.array(settings.step_bound),
+        "lambda_p": np.full(n, np.inf),
+        "kkt_residual": np.zeros(()),
+        "by_polish": no,
+        "accepted": ~no,
+        "step": np.zeros((), np.int32),
+        "converged": no,
+        "stalled": no,
+        "least_fall": np.array(settings.least_fall),
+    }
+    return CalibrationState(z=z, evaluation=evaluation, **jax.device_put(state))
 
 
 class Proposal(Module):
@@ -177,6 +178,7 @@ def propose(
     In three programs: that of the QP takes longest to compile, and as its size depends
     on the parameters alone, it serves calibrations with any number of errors.
     """
+    settings = settings.as_arrays()
     models = _models(space, settings, state)
     both = _solved_each(models.qps, state.curvature.used)
     return _proposal(space, settings, state, models, both)
@@ -323,7 +325,6 @@ def _is_at_bound(
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
-@eqx.filter_jit
 def decide(
     space: ParameterSpace,
     settings: CalibrationSettings,
@@ -332,6 +333,17 @@ def decide(
     tried: Evaluation,
 ) -> CalibrationState:
     """Accept a proposed step if it helps, and adapt the bound on the next."""
+    return _decided(space, settings.as_arrays(), state, proposal, tried)
+
+
+@eqx.filter_jit
+def _decided(
+    space: ParameterSpace,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    proposal: Proposal,
+    tried: Evaluation,
+) -> CalibrationState:
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
     curvature, longest = state.curvature, settings.step_bound
     predicted = now.cost - proposal.cost

@@ -11,7 +11,15 @@ import numpy as np
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
+from softcal_jax._typing import (
+    Array,
+    Bool,
+    Float,
+    HostArray,
+    Int,
+    is_traced,
+    numpy_of,
+)
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
 AnyArray = Array | HostArray
@@ -117,8 +125,10 @@ class ActuationArrays(Module):
     @property
     def forces(self) -> Float[Array, "*batch n_a"]:
         """Forces lambda_a at full load where they are imposed, 0 elsewhere."""
-        given = jnp.asarray(self.force_factor) * jnp.asarray(self.value)
-        return jnp.where(jnp.asarray(self.by_displacement), 0.0, given)
+        xp = numpy_of(self)
+        factor, value = xp.asarray(self.force_factor), xp.asarray(self.value)
+        by_displacement = xp.asarray(self.by_displacement)
+        return jax.device_put(xp.where(by_displacement, 0.0, factor * value))
 
 
 class Springs(Module):

@@ -6,6 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -129,8 +130,9 @@ def equilibria(
             end(c, new[1])
 
     if guess is not None:
+        apart = jax.device_put([*np.asarray(guess)])  # without compiling
         workers.side_by_side(
-            (partial(lanes.solve, c, u) for c, u in enumerate(guess)), end
+            (partial(lanes.solve, c, u) for c, u in enumerate(apart)), end
         )
     elif model.mechanism.bodies.n_bodies == 0:
         workers.side_by_side((partial(lanes.begin, c) for c in range(len(each))), tried)
@@ -200,7 +202,8 @@ class _Lanes:
             model, configurations[c], settings=newton, check=workers.check
         )
         self._most, self._say = int(newton.max_steps), report or (lambda *_: None)
-        steps = jnp.asarray(self._most if report is None else STEPS_BETWEEN)
+        most = self._most if report is None else STEPS_BETWEEN
+        steps = jax.device_put(np.array(most, np.int32))
         # It ends where the first step fails, in place of going back to rest.
         at_once = replace(newton, smallest_load_step=1.0).as_arrays()
         self._from_anywhere, self._at_once = (
@@ -234,7 +237,8 @@ class _Lanes:
             (state,) = self.workers.map(begin, [(self.each[c], u)])
         else:
             state = resumed(begun)
-        state = state._replace(step=state.step + min(taken, self._most // 2))
+        if taken:
+            state = state._replace(step=state.step + min(taken, self._most // 2))
         ended = self._run(go_on, self.each[c], state, partial(self._say, c))
         return self._with_cause(self.each[c], *ended)
 

@@ -76,9 +76,13 @@ class EquilibriumSolution(Module):
     along_path: Float[Array, "*batch"]
 
     @property
-    def converged(self) -> Array:
+    def converged(self) -> Bool[Array | HostArray, "*batch"]:
         """Whether each configuration reached a regular equilibrium."""
-        return self.result == RESULTS.converged
+        (here,), (good,) = map(jax.tree.leaves, (self.result, RESULTS.converged))
+        if is_traced(here):
+            return self.result == RESULTS.converged
+        same = np.asarray(here) == np.asarray(good)  # without compiling
+        return same if isinstance(here, np.ndarray) else jax.device_put(same)
 
     def _words(self) -> str:
         good = np.asarray(self.converged)

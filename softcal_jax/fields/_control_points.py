@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
 from softcal_jax._text import check_known, parse_axes
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray, is_traced, numpy_of
 from softcal_jax._units import readable_values
 from softcal_jax.fields._parameters import (
     AbstractFieldEntry,
@@ -77,7 +77,7 @@ class ControlPoints(Module):
                     f"control point {name!r} needs three finite numbers [m], got {x}."
                 )
         self.names = self.names or tuple(given)
-        self.positions = jnp.asarray(np.array([*given.values()], float))
+        self.positions = jax.device_put(np.array([*given.values()], float))
 
     def __check_init__(self):
         x = np.asarray(self.positions)
@@ -207,14 +207,16 @@ class ControlPointParameters(AbstractFieldEntry):
     def __post_init__(self):
         n_cp = len(self.control_points.names)
         for name in ("start", "lower", "upper"):
-            value = jnp.asarray(getattr(self, name), float)
+            value: Any = getattr(self, name)
+            xp = numpy_of(value)
+            value = xp.asarray(value, float)
             if value.shape not in ((), (n_cp,)):
                 raise ValueError(
                     f"{name} of {self.field} must be one for all control points or one "
                     f"for each ({n_cp}), got shape {value.shape}."
                 )
-            setattr(self, name, jnp.broadcast_to(value, (n_cp,)))
-        half_turns = np.isclose(self.upper - self.lower, np.pi)
+            setattr(self, name, jax.device_put(xp.broadcast_to(value, (n_cp,))))
+        half_turns = np.isclose(self._span, np.pi)
         director = self.interpolation == "director"
         self.periodic = tuple(bool(director and half_turn) for half_turn in half_turns)
 
@@ -229,7 +231,7 @@ class ControlPointParameters(AbstractFieldEntry):
         if not 0.0 <= self.core < 1.0:
             raise ValueError(f"core of {self.field} is {self.core:g}, not in [0, 1).")
         if self.interpolation == "director":
-            span = float(np.max(self.upper - self.lower))
+            span = float(np.max(self._span))
             if span > np.pi * (1 + 1e-9):
                 raise ValueError(
                     f"the bounds of {self.field} span {np.rad2deg(span):.0f} degrees: "
@@ -241,6 +243,10 @@ class ControlPointParameters(AbstractFieldEntry):
                 f"{self.interpolation!r}; or leave core out."
             )
 
+    @property
+    def _span(self) -> Float[HostArray, " n_cp"]:
+        return np.asarray(self.upper) - np.asarray(self.lower)
+
     def parameter_name(self, control_point: str) -> str:
         """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
@@ -251,7 +257,8 @@ class ControlPointParameters(AbstractFieldEntry):
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
         names, known = self.control_points.names, {*self.fixed, *dict(self.tied)}
-        values = zip(self.start, self.lower, self.upper, self.periodic, strict=True)
+        each = map(_each, (self.start, self.lower, self.upper))
+        values = zip(*each, self.periodic, strict=True)
         unknowns = []
         for point, (*limits, periodic) in zip(names, values, strict=True):
             if point not in known:
@@ -288,28 +295,18 @@ class ControlPointParameters(AbstractFieldEntry):
         nearest = np.sort(np.argsort(away, axis=1)[:, :2], axis=1)
         return [(names[i], names[j]) for i, j in np.unique(nearest, axis=0)]
 
-    def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
+    def _at_points(self, values: Values) -> list[Array]:
         """Return the values at the control points, known ones included."""
         of = lambda n: values[self.parameter_name(n)]
         names, fixed = self.control_points.names, self.fixed
-        return jnp.stack([fixed[n] if n in fixed else of(n) for n in names])
+        return [fixed[n] if n in fixed else of(n) for n in names]
 
     def evaluate(self, mesh: TetMesh, values: Values) -> Float[Array, " n_tets"]:
         """Evaluate the field, from the values of all parameters by name.
 
         There is one value per tet of the region, that at its centroid, in SI units.
         """
-        weights, at_points = self._weights(mesh), self._at_points(values)
-        if self.interpolation == "log":
-            return jnp.exp(weights @ jnp.log(at_points))
-        if self.interpolation == "linear":
-            return weights @ at_points
-        c, s = _direction(weights, at_points)
-        # Half way between perpendicular axes there is neither a mean direction nor its
-        # derivative: such a point gets the constant angle 0.
-        lost = c**2 + s**2 < _LOST
-        c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
-        return 0.5 * jnp.arctan2(s, c)
+        return _mixed(self.interpolation, self._weights(mesh), self._at_points(values))
 
     def contrast(self, mesh: TetMesh, values: Values) -> Float[Array, " n_tets"]:
         """Compute the share of ln(E_l / E_s) that remains after fading [-].
@@ -318,7 +315,7 @@ class ControlPointParameters(AbstractFieldEntry):
         0 where there is none. The tensor of the axis is then a smooth function of the
         parameters. Arguments and shape are those of `evaluate`.
         """
-        c, s = _direction(self._weights(mesh), self._at_points(values))
+        c, s = _direction(self._weights(mesh), jnp.stack(self._at_points(values)))
         square = c**2 + s**2
         rho = jnp.sqrt(jnp.maximum(square, _LOST))
         return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
@@ -371,6 +368,29 @@ class ControlPointParameters(AbstractFieldEntry):
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},
         )
+
+
+def _each(values: Float[Array, " n"]) -> list[Array]:
+    """Take values apart; outside a program on the host, without compiling."""
+    if is_traced(values):
+        return list(values)
+    return jax.device_put(list(np.asarray(values)))
+
+
+@partial(jax.jit, static_argnums=0)
+def _mixed(interpolation: Interpolation, weights, values: list[Array]):
+    """Compute `ControlPointParameters.evaluate` in one program."""
+    at_points = jnp.stack(values)
+    if interpolation == "log":
+        return jnp.exp(weights @ jnp.log(at_points))
+    if interpolation == "linear":
+        return weights @ at_points
+    c, s = _direction(weights, at_points)
+    # Half way between perpendicular axes there is neither a mean direction nor its
+    # derivative: such a point gets the constant angle 0.
+    lost = c**2 + s**2 < _LOST
+    c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
+    return 0.5 * jnp.arctan2(s, c)
 
 
 def _direction(weights, angles):

@@ -227,6 +227,14 @@ class AbstractFieldEntry(AbstractEntry):
         return self.region
 
 
+def to_scale(scale: str, S: Real, p: Real) -> Real:
+    return jnp.log(p) if scale == "log" else p / S
+
+
+def from_scale(scale: str, S: Real, z: Real) -> Real:
+    return jnp.exp(z) if scale == "log" else z * S
+
+
 class Parameter(AbstractFieldEntry):
     """One unknown constant of the model; further options are of `AbstractFieldEntry`.
 
@@ -286,16 +294,16 @@ class Parameter(AbstractFieldEntry):
     def unit_step(self) -> Float[Array, ""]:
         """S of a linear scale; 1 on a log scale."""
         if self.scale == "log":
-            return jnp.ones(())
+            return jax.device_put(np.ones(()))
         return self.upper - self.lower if self.S is None else self.S
 
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the scaled coordinate z: ln p, or p / S [-]."""
-        return jnp.log(p) if self.scale == "log" else p / self.unit_step
+        return to_scale(self.scale, self.unit_step, p)
 
     def from_scaled(self, z: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
-        return jnp.exp(z) if self.scale == "log" else z * self.unit_step
+        return from_scale(self.scale, self.unit_step, z)
 
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set its field to one value in its region."""

@@ -1,7 +1,8 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -26,7 +27,14 @@ from softcal_jax.fields._order import (
     order_terms,
     region_terms,
 )
-from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    Parameter,
+    Values,
+    from_scale,
+    once,
+    to_scale,
+)
 
 Entry = AbstractEntry
 
@@ -37,6 +45,13 @@ def _groups(groups: Iterable[str | Sequence[str]]) -> Groups:
 
 _EXAMPLES = {"order": ("E_l", "E_t"), "axes": ("E_l", "E_t", "theta")}
 """Members of a group: smaller and larger value, and the angle of an axis."""
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _converted(convert, scales: tuple[str, ...], steps: list[Array], values) -> Array:
+    """Convert all values in one program, which knows no names."""
+    each = zip(scales, steps, values, strict=True)
+    return jnp.stack([convert(*one) for one in each])
 
 
 class Pin(Module):
@@ -109,37 +124,42 @@ class ParameterSpace(Module):
 
     def start(self) -> Scaled:
         """Return the scaled start."""
-        return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
+        return self.to_scaled([q.start for q in self.parameters])
 
     def lower(self) -> Scaled:
         """Return the scaled lower bounds."""
-        return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
+        return self.to_scaled([q.lower for q in self.parameters])
 
     def upper(self) -> Scaled:
         """Return the scaled upper bounds."""
-        return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
+        return self.to_scaled([q.upper for q in self.parameters])
 
-    def to_scaled(self, p: Scaled) -> Scaled:
+    def to_scaled(self, p: Scaled | list[Array]) -> Scaled:
         """Convert values p to scaled coordinates z."""
-        return jnp.stack([q.to_scaled(value) for q, value in self._pairs(p)])
+        return self._converted(to_scale, p)
 
     def from_scaled(self, z: Scaled) -> Scaled:
         """Convert scaled coordinates z to values p."""
-        return jnp.stack([q.from_scaled(value) for q, value in self._pairs(z)])
+        return self._converted(from_scale, z)
 
-    def _pairs(self, values: Iterable[Any]) -> Iterator[tuple[Parameter, Any]]:
-        values = list(values)
+    def _converted(self, convert: Any, values: Scaled | list[Array]) -> Scaled:
+        self._check_number(values)
+        scales = tuple(q.scale for q in self.parameters)
+        steps = [q.unit_step for q in self.parameters]
+        return _converted(convert, scales, steps, values)
+
+    def _check_number(self, values: Scaled | list[Array]) -> None:
         if len(values) != len(self.parameters):
             raise ValueError(
                 f"there are {len(values)} values for the {len(self.parameters)} "
                 f"parameters ({', '.join(self.names)}); give one for each."
             )
-        return zip(self.parameters, values, strict=True)
 
     def slopes(self, z: Float[Array | HostArray, " n_p"]) -> Float[HostArray, " n_p"]:
         """Compute |dp/dz| of each parameter, in its SI unit per unit of z."""
         z = jax.device_put(z)
-        _, slopes = jax.jvp(self.from_scaled, (z,), (jnp.ones_like(z),))
+        one = jax.device_put(np.ones(z.shape))
+        _, slopes = jax.jvp(self.from_scaled, (z,), (one,))
         return np.abs(np.asarray(slopes))
 
     def _if_periodic(self, periodic, otherwise) -> Scaled:
@@ -319,7 +339,8 @@ class ParameterSpace(Module):
         Raises:
             ValueError: If either lacks what a parameter sets.
         """
-        scaled = [coordinate for _, coordinate in self._pairs(z)]
+        self._check_number(z)
+        scaled = list(z)
         for column, value in zip(columns, coordinates, strict=True):
             scaled[column] = value
         pairs = zip(self.parameters, scaled, strict=True)

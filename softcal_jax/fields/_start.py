@@ -39,6 +39,8 @@ from softcal_jax.materials import ANGLE, UNREMARKABLE
 SEVERAL = 6
 """Most starts by default where there may be several optima."""
 
+order_rows = eqx.filter_jit(lambda space: space.order_rows())  # of a `numbered` one
+
 # One row at a time, so that the program does not depend on the number of rows.
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 
@@ -145,7 +147,7 @@ def _check_order(space: ParameterSpace) -> None:
     plain = space.in_plain_steps()
     if not plain.order_names():  # else the next lines would compile programs
         return
-    A, b = map(np.asarray, plain.order_rows())
+    A, b = map(np.asarray, order_rows(plain.numbered))
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
     best = np.minimum(A * low, A * high).sum(axis=1) - b

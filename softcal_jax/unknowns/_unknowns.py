@@ -216,7 +216,9 @@ def _of_mesh(problem: Problem) -> Unknown:
     model, std = problem.model, problem.uncertain.mesh
     n = len(problem.poses)
     name = "locking" if model.mesh.order == 1 else "refinement"
-    scope = _where(("",) * n, np.full(n, std > 0.0 and np.any(model.active)))
+    scope = _where(
+        ("",) * n, np.full(n, std > 0.0 and np.any(np.asarray(model.active)))
+    )
     error = MESH, name, None, std, "considered", scope
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
 

@@ -310,6 +310,9 @@ _SAME_FRAME = 0.3
 Posts that carry markers are shorter; cameras stand farther away from the robot.
 """
 
+_SAME_PLACE = 1e-6
+"""Difference of distances, as a share of the size, that may be rounding."""
+
 
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
     """Write the project file and the data of a ready-made robot into a new folder.
@@ -395,8 +398,7 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         model=model.name if alone else str(model.resolve()),
         body=body,
         held=held,
-        # Within a tet, since a finer or coarser mesh has its skin elsewhere.
-        tip=mesh.centroids[locate(mesh, tip[None], max_distance=np.inf).tet[0]],
+        tip=_within(mesh, tip),
         actuated=find_actuated(mesh),
         recorded=recorded,
         own_frame=own_frame,
@@ -415,6 +417,16 @@ def _markers(
         places = locate(mesh, shifted, max_distance=np.inf).foot
     placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
     return tuple(MarkerPlace(*each) for each in placed)
+
+
+def _within(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
+    """Return the middle of a tet beside a place [m].
+
+    A finer or coarser mesh has its skin elsewhere. Of tets that are as near, up to
+    rounding, the first one counts, so that the place is the same on every machine.
+    """
+    away = np.linalg.norm(mesh.centroids - place, axis=1)
+    return mesh.centroids[np.argmax(away <= away.min() + _SAME_PLACE * mesh.size)]
 
 
 def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
