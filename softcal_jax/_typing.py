@@ -1,4 +1,4 @@
-"""Array annotations used across the package: named axes, no runtime cost."""
+"""Array annotations of the whole package, and what is known of a value."""
 
 from types import ModuleType
 

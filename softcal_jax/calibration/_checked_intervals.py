@@ -422,8 +422,8 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
-    at = lambda by: jax.device_put(np.asarray(z + by))
-    value_at = lambda by: float(parameter.from_scaled(at(by)))
+    moved = lambda by: jax.device_put(np.asarray(z + by))
+    value_at = lambda by: float(parameter.from_scaled(moved(by)))
     whys: list[str] = [end.why for end in ends]
     why = ""
     if "not found" in whys:

@@ -17,7 +17,7 @@ from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
 from softcal_jax.contact import Contacts
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace, kind_of
+from softcal_jax.fields import ParameterSpace, kind_of, order_rows
 from softcal_jax.inference import (
     UNLIKELY,
     LackOfFit,
@@ -292,7 +292,7 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
     pairs, chart, held = space.order_names(), space.chart, []
     at = np.asarray(z)
     if pairs:
-        A, b = map(np.asarray, space.order_rows())
+        A, b = map(np.asarray, order_rows(space.numbered))
         held = list(A @ at - b >= -EQUAL)
     if chart is not None:
         for small, large in zip(chart.small, chart.large, strict=True):

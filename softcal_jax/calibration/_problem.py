@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import partial
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -18,6 +18,9 @@ from softcal_jax.unknowns import Problem, held_nodes, noise_columns
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
+
+
+_number = partial(eqx.field, converter=float)
 
 
 class CalibrationSettings(Module):
@@ -47,13 +50,13 @@ class CalibrationSettings(Module):
             where it leads to no equilibrium.
     """
 
-    tol: float = eqx.field(default=1e-6, metadata=key(""))
+    tol: float = _number(default=1e-6, metadata=key(""))
     max_steps: int = 50
-    step_bound: float = eqx.field(default=0.3, metadata=key(""))
-    max_step_bound: float = eqx.field(default=0.5, metadata=key(""))
-    damping: float = eqx.field(default=DAMPING, metadata=key(""))
-    least_fall: float = 1e-8
-    least_cost: float = 0.0
+    step_bound: float = _number(default=0.3, metadata=key(""))
+    max_step_bound: float = _number(default=0.5, metadata=key(""))
+    damping: float = _number(default=DAMPING, metadata=key(""))
+    least_fall: float = _number(default=1e-8)
+    least_cost: float = _number(default=0.0)
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
@@ -77,12 +80,9 @@ class CalibrationSettings(Module):
 
     def as_arrays(self) -> "CalibrationSettings":
         """Return the settings as arrays, so that one compiled program serves all."""
-        return _as_arrays(self)
-
-
-@cache
-def _as_arrays(settings: CalibrationSettings) -> CalibrationSettings:
-    return jax.device_put(jax.tree.map(np.asarray, settings))
+        kind = lambda value: np.int32 if isinstance(value, int) else float
+        host = jax.tree.map(lambda value: np.asarray(value, kind(value)), self)
+        return jax.device_put(host)
 
 
 def n_measured(problem: Problem) -> int:

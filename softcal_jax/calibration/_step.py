@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Bool, Float, Int, numpy_of
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._qp import (
@@ -134,13 +134,13 @@ def initial_state(
     settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
-    n, no = len(z), np.array(False)
-    costs = np.append(np.asarray(evaluation.cost), np.full(MEMORY - 1, -np.inf))
+    n, no, xp = len(z), np.array(False), numpy_of(evaluation.cost)
+    costs = xp.append(xp.asarray(evaluation.cost), np.full(MEMORY - 1, -np.inf))
     # From the host, since each of these would be a program.
     state: Any = {
         "curvature": Curvature(*jax.device_put((np.zeros((n, n)), no))),
         "recent_costs": costs,
-        "step_bound": np.array(settings.step_bound),
+        "step_bound": np.array(settings.step_bound, float),
         "lambda_p": np.full(n, np.inf),
         "kkt_residual": np.zeros(()),
         "by_polish": no,
@@ -148,7 +148,7 @@ def initial_state(
         "step": np.zeros((), np.int32),
         "converged": no,
         "stalled": no,
-        "least_fall": np.array(settings.least_fall),
+        "least_fall": np.array(settings.least_fall, float),
     }
     return CalibrationState(z=z, evaluation=evaluation, **jax.device_put(state))
 

@@ -194,7 +194,7 @@ MOST_CHORDS = 3
 """Most chord steps that may remain at the last rate; else take a Newton step."""
 
 REFINEMENTS = 3
-"""Refinements by the last factor that bring a solution to the tangent beside it."""
+"""Refinements that a solution takes with the factor of one Newton step before."""
 
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
@@ -210,10 +210,10 @@ class _Quick(NamedTuple):
     `residual` and `steps` are those of the last step that was taken. A Newton step
     takes the strains that are predicted along `du` from `u`, where they were `strains`
     (or, if `was_exact`, those of u). If `exact`, as where the residual is small, see
-    `NEAR`, it takes those of the point. `sharp` tells whether the residual is below
-    `SHARP`. `factor` belongs to the last Newton step; with `chord` the next step reuses
-    it. `arrived`: in equilibrium, but the tangent may still be that of an earlier
-    state; `converged`: and that step was taken.
+    `NEAR`, or the guess was not extrapolated, it takes those of the point. `sharp`
+    tells whether the residual is below `SHARP`. `factor` belongs to the last Newton
+    step; with `chord` the next step reuses it. `arrived`: in equilibrium, but the
+    tangent may still be that of an earlier state; `converged`: and that step was taken.
     """
 
     point: Point
@@ -255,10 +255,11 @@ def continue_equilibrium(
 
     The last digits come from steps on the last factor (chord steps). The linear system
     is stated at the equilibrium, but its tangent is that before the last Newton step,
-    so its error is of the order of that step. If `precise`, it is assembled once more,
-    and factorized if that takes less time than refining as many right-hand sides with
-    the last factor as will be asked for, `rows`. (Rows of parameters are always those
-    at the equilibrium, or a direction without effect would seem to have one.)
+    so its error is of the order of that step. If `precise`, it is assembled once more.
+    `rows` is the number of right-hand sides that the caller will solve for: where
+    refining them with the last factor would take longer, it is factorized, too. (Rows
+    of parameters are always those at the equilibrium, or a direction without effect
+    would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -385,8 +386,9 @@ class _QuickSteps(NamedTuple):
             lambda: predict(self.model, s.u, s.du, s.strains, s.was_exact),
         )
         exact = s.exact | ~usable
-        refined = self.model.solver.worth >= REFINEMENTS * (1 + self.rows)
-        near = s.arrived & refined
+        # Each solve has a right-hand side for each imposed displacement, too.
+        solves = REFINEMENTS * (1 + self.rows + 2 * self.model.with_multiplier.size)
+        near = s.arrived & (self.model.solver.solves_per_factor >= solves)
         newton_step = lambda: self.newton_step(
             s.point, s.lambda_a, strains, exact, near
         )

@@ -81,8 +81,7 @@ class EquilibriumSolution(Module):
         (here,), (good,) = map(jax.tree.leaves, (self.result, RESULTS.converged))
         if is_traced(here):
             return self.result == RESULTS.converged
-        same = np.asarray(here) == np.asarray(good)  # without compiling
-        return same if isinstance(here, np.ndarray) else jax.device_put(same)
+        return np.asarray(np.asarray(here) == np.asarray(good))  # without compiling
 
     def _words(self) -> str:
         good = np.asarray(self.converged)

@@ -50,6 +50,7 @@ from softcal_jax.fields._start import (
     check_starts as check_starts,
     default_starts as default_starts,
     field_standard_errors as field_standard_errors,
+    order_rows as order_rows,
     random_starts as random_starts,
 )
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._text import check_known, check_unique
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, numpy_of
 from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
     AxisChart,
@@ -48,7 +48,7 @@ _EXAMPLES = {"order": ("E_l", "E_t"), "axes": ("E_l", "E_t", "theta")}
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _converted(convert, scales: tuple[str, ...], steps: list[Array], values) -> Array:
+def _each_converted(convert, scales: tuple[str, ...], steps: list[Array], values):
     """Convert all values in one program, which knows no names."""
     each = zip(scales, steps, values, strict=True)
     return jnp.stack([convert(*one) for one in each])
@@ -146,7 +146,7 @@ class ParameterSpace(Module):
         self._check_number(values)
         scales = tuple(q.scale for q in self.parameters)
         steps = [q.unit_step for q in self.parameters]
-        return _converted(convert, scales, steps, values)
+        return _each_converted(convert, scales, steps, values)
 
     def _check_number(self, values: Scaled | list[Array]) -> None:
         if len(values) != len(self.parameters):
@@ -163,13 +163,16 @@ class ParameterSpace(Module):
         return np.abs(np.asarray(slopes))
 
     def _if_periodic(self, periodic, otherwise) -> Scaled:
-        flags = jnp.asarray([q.periodic for q in self.parameters])
-        return jnp.where(flags, periodic, otherwise)
+        flags = np.array([q.periodic for q in self.parameters])
+        xp = numpy_of(periodic, otherwise)
+        return jax.device_put(xp.where(flags, periodic, otherwise))
 
     def room(self, z: Scaled) -> tuple[Scaled, Scaled]:
         """Return the largest steps down and up within bounds; infinite if periodic."""
-        down = self._if_periodic(-jnp.inf, self.lower() - z)
-        return down, self._if_periodic(jnp.inf, self.upper() - z)
+        low, high = self.lower(), self.upper()
+        low, high, z = map(numpy_of(low, z).asarray, (low, high, z))
+        down = self._if_periodic(-np.inf, low - z)
+        return down, self._if_periodic(np.inf, high - z)
 
     def at_bound(self, z: Float[Array | HostArray, " n_p"]) -> Bool[HostArray, " n_p"]:
         """Tell which parameters are on a bound, up to rounding."""

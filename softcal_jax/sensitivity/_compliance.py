@@ -174,7 +174,8 @@ def equilibrium_response(
             settings=newton,
             before=before,
             precise=precise,
-            rows=n_e if adjoint else n_p,
+            # The factors of a matrix without symmetry do not serve its transpose.
+            rows=n_p if not adjoint else n_e * model.solver.sparsity.symmetric,
         )
         rows = parameter_rows(linearisation, space, z)
         changes = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)

@@ -443,8 +443,10 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
     other = build_model(longer, NeoHookean(2e5, NU_TRUE), density=1100.0)
     softer = replace(parameter(8e4, 2e4, 9e5), name="softness")
     finer = NewtonSettings(rtol=1e-9)
+    looser = CalibrationSettings(tol=1e-5, max_steps=60, step_bound=0.2)
+    both = {"newton": finer, "settings": looser}
     with Compilations() as again:
-        calibrate(other, [softer], data[:2], validation=data[2:], newton=finer)
+        calibrate(other, [softer], data[:2], validation=data[2:], **both)
     assert again.programs == [], again.programs
     with Compilations() as more:
         calibrate(other, [softer], data)

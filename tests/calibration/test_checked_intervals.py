@@ -451,8 +451,8 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
 
 
 def test_kinds_and_reasons():
-    E, z = Parameter("E", "E", 2e5, 1e5, 4e5, unit="Pa"), jnp.asarray(np.log(2.0))
-    z = E.to_scaled(jnp.asarray(2e5))
+    E = Parameter("E", "E", 2e5, 1e5, 4e5, unit="Pa")
+    z = float(E.to_scaled(jnp.asarray(2e5)))
     far, bound = ProfileEnd(0.1, "likelihood"), ProfileEnd(np.log(2.0), "bound")
     lost = ProfileEnd(np.nan, "not found")
     kind = lambda *ends: interval_between(E, z, ends, level=0.95)

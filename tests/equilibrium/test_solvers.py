@@ -28,6 +28,7 @@ from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
     _MKL_DOMAIN_PARDISO,
     _NESTED,
+    _PER_SOLVE,
     REFINED,
     Klu,
     Pardiso,
@@ -368,7 +369,7 @@ def test_a_matrix_near_the_last_is_solved_by_its_factors():
 
 
 def test_a_matrix_is_factorized_where_that_takes_less_time_than_refining():
-    """Three refinements are made if a factorization takes the time of many solves."""
+    """It is refined if a factorization takes the time of many solves."""
     pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
     solver = small_model("pardiso").solver
     random, sparsity = np.random.default_rng(0), solver.sparsity
@@ -383,8 +384,8 @@ def test_a_matrix_is_factorized_where_that_takes_less_time_than_refining():
         first = costly.factor_solve(values, rhs)
         return costly.solve_near(other, rhs + 0.0 * first.x)
 
-    operations = 1e-6 * 20.0 * float(solver.entries)  # in the time of a solve
-    for solves, factorized in ((2.0, True), (20.0, False)):
+    operations = 1e-6 * _PER_SOLVE * float(solver.entries)  # in the time of a solve
+    for solves, factorized in ((0.2, True), (20.0, False)):
         solved = solved_with(jnp.asarray(solves * operations), values, other, rhs)
         assert bool(solved.ok)
         assert (int(solved.n_negative) >= 0) == factorized, solves
@@ -395,8 +396,11 @@ def test_a_matrix_is_factorized_where_that_takes_less_time_than_refining():
 def test_a_factorization_takes_the_time_of_more_solves_in_a_bulky_body():
     """As counted by PARDISO; of thin ones, factors are hardly larger than matrices."""
     pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
-    model = lambda cells: build_model(
-        beam(1.0, 1.0, 1.0, cells), NeoHookean(1e5, 0.4), density=0.0, solver="pardiso"
-    )
-    thin, bulky = (float(model(n).solver.worth) for n in ((24, 24, 1), (12, 12, 12)))
+
+    def solves(cells):
+        mesh, law = beam(1.0, 1.0, 1.0, cells), NeoHookean(1e5, 0.4)
+        model = build_model(mesh, law, density=0.0, solver="pardiso")
+        return float(model.solver.solves_per_factor)
+
+    thin, bulky = solves((24, 24, 1)), solves((12, 12, 12))
     assert 1.0 < thin < 0.3 * bulky
