@@ -400,9 +400,12 @@ def why_not(result: CalibrationResult) -> str:
 
     The text has no numbers of the trial, as tables group trials by equal reasons.
     """
-    if len(result.history) > result.settings.max_steps:
+    accepted = result.history[-1].accepted
+    # Steps of tensors that found no way on count, but are not in the history.
+    went_on = accepted and bool(np.all(np.isfinite(result.linear.W)))
+    if len(result.history) > result.settings.max_steps or went_on:
         return f"lambda_p did not vanish within max_steps = {result.settings.max_steps}"
-    if not result.history[-1].accepted:
+    if not accepted:
         return "its last steps were refused, down to the shortest, away from an optimum"
     return "no step could be computed: the sensitivities are not finite"
 

@@ -254,19 +254,26 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("steps", "rejected", "max_steps", "reason"),
+    ("steps", "rejected", "max_steps", "slope", "reason"),
     [
-        (4, (4,), 4, "within max_steps = 4"),
-        (4, (3, 4), 50, "last steps were refused"),
-        (0, (), 50, "sensitivities are not finite"),
+        (4, (4,), 4, 1.0, "within max_steps = 4"),
+        (4, (), 50, 1.0, "within max_steps = 50"),
+        (4, (3, 4), 50, 1.0, "last steps were refused"),
+        (0, (), 50, np.nan, "sensitivities are not finite"),
     ],
 )
-def test_the_reason_of_a_row_is_what_happened(steps, rejected, max_steps, reason):
-    """Steps before the last ones were accepted, so not every step was refused."""
+def test_the_reason_of_a_row_is_what_happened(
+    steps, rejected, max_steps, slope, reason
+):
+    """Steps before the last ones were accepted, so not every step was refused.
+
+    Steps of tensors that find no way on from an optimum are not in the history.
+    """
     history = make_history(rejected)[: steps + 1]
     result = make_result(converged=False, history=history)
     settings = CalibrationSettings(max_steps=max_steps)
-    result = dataclasses.replace(result, settings=settings)
+    linear = dataclasses.replace(result.linear, W=slope * result.linear.W)
+    result = dataclasses.replace(result, settings=settings, linear=linear)
     assert says(why_not(result), reason)
 
 
