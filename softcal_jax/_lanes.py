@@ -6,7 +6,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from softcal_jax._typing import HostArray, Int
+from softcal_jax._typing import Array, HostArray, Int
 
 T = TypeVar("T")
 
@@ -15,6 +15,11 @@ def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
     """Return one lane of a batch, or a batch of several."""
     # Sliced on the host: on the device, each shape compiles two more programs.
     return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
+
+
+def unstacked(batch: Array | HostArray) -> list[Array]:
+    """Take a batch apart, without compiling for each of its shapes."""
+    return jax.device_put([*np.asarray(batch)])
 
 
 def stacked(lanes: Sequence[T]) -> T:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._files import digest_of
-from softcal_jax._lanes import lane_of, stacked
+from softcal_jax._lanes import lane_of, stacked, unstacked
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, numpy_of
 from softcal_jax.calibration._problem import linear_model
@@ -221,8 +221,7 @@ class Evaluator:
         precise: bool | Bool[Array, ""],
     ) -> list[Response]:
         both = guess, guess if before is None else before
-        # Taken apart on the host: on the device, each shape compiles a program.
-        states = jax.device_put([*zip(*map(np.asarray, both), strict=True)])
+        states = zip(*map(unstacked, both), strict=True)
         each, exact = zip(lanes, states, strict=True), jax.device_put(precise)
         off = self.problem.deviations  # of the specimen of each lane
         arguments = [

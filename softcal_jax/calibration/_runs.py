@@ -38,6 +38,7 @@ def descend(
     is called after each step, and `enough` says whether to stop before the end.
     """
     space, most = evaluate.numbered.space, settings.max_steps
+    settings = settings.as_arrays()
     while not (state.ended or int(state.step) >= most or enough(state)):
         # The bounded QP for lambda_p, Eqs. (10) and (11).
         step = propose(space, settings, state)

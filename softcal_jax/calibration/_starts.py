@@ -6,10 +6,10 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import unstacked
 from softcal_jax._process import check_process
 from softcal_jax._text import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -229,7 +229,7 @@ def search(
     a time, and must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
-    rows, n = jax.device_put([*np.asarray(starts)]), 0
+    rows, n = unstacked(starts), 0
     begun = [not_begun(settings, start, len(images)) for start in rows]
     begun = [journal.kept(f"run{i}", run) or run for i, run in enumerate(begun)]
 

@@ -178,7 +178,6 @@ def propose(
     In three programs: that of the QP takes longest to compile, and as its size depends
     on the parameters alone, it serves calibrations with any number of errors.
     """
-    settings = settings.as_arrays()
     models = _models(space, settings, state)
     both = _solved_each(models.qps, state.curvature.used)
     return _proposal(space, settings, state, models, both)
@@ -325,6 +324,7 @@ def _is_at_bound(
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
+@eqx.filter_jit
 def decide(
     space: ParameterSpace,
     settings: CalibrationSettings,
@@ -333,17 +333,6 @@ def decide(
     tried: Evaluation,
 ) -> CalibrationState:
     """Accept a proposed step if it helps, and adapt the bound on the next."""
-    return _decided(space, settings.as_arrays(), state, proposal, tried)
-
-
-@eqx.filter_jit
-def _decided(
-    space: ParameterSpace,
-    settings: CalibrationSettings,
-    state: CalibrationState,
-    proposal: Proposal,
-    tried: Evaluation,
-) -> CalibrationState:
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
     curvature, longest = state.curvature, settings.step_bound
     predicted = now.cost - proposal.cost

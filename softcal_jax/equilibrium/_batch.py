@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import stacked
+from softcal_jax._lanes import stacked, unstacked
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tet_states
@@ -130,9 +130,8 @@ def equilibria(
             end(c, new[1])
 
     if guess is not None:
-        apart = jax.device_put([*np.asarray(guess)])  # without compiling
         workers.side_by_side(
-            (partial(lanes.solve, c, u) for c, u in enumerate(apart)), end
+            (partial(lanes.solve, c, u) for c, u in enumerate(unstacked(guess))), end
         )
     elif model.mechanism.bodies.n_bodies == 0:
         workers.side_by_side((partial(lanes.begin, c) for c in range(len(each))), tried)

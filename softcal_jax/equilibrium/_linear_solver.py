@@ -164,9 +164,8 @@ _ENTRIES = 17
 _PER_SOLVE = 20.0
 """Operations of a factorization that take as long as an entry of it in a solve [-].
 
-Measured with two threads, on solid beams of 1 600 to 88 000 unknowns and a sheet: a
-factorization takes the time of 5, 8, 14, 23 and 31 solves where this counts 4, 7, 11,
-26 and 58.
+Roughly: it only has to tell a sheet, whose factors take no longer than a few solves,
+from a bulky body.
 """
 
 _BY_ALL_CORES = 4_000

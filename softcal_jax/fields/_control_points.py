@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._lanes import unstacked
 from softcal_jax._module import Module
 from softcal_jax._text import check_known, parse_axes
 from softcal_jax._typing import Array, Float, HostArray, is_traced, numpy_of
@@ -371,10 +372,7 @@ class ControlPointParameters(AbstractFieldEntry):
 
 
 def _each(values: Float[Array, " n"]) -> list[Array]:
-    """Take values apart; outside a program on the host, without compiling."""
-    if is_traced(values):
-        return list(values)
-    return jax.device_put(list(np.asarray(values)))
+    return list(values) if is_traced(values) else unstacked(values)
 
 
 @partial(jax.jit, static_argnums=0)
