@@ -81,3 +81,14 @@ def run_process(
             f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr.strip()}"
         )
     return done.stdout
+
+
+def at_home(home: str, folder: Path = ROOT) -> dict[str, str]:
+    """Environment of a tree, with nothing kept but what is in a folder."""
+    return {
+        "PYTHONPATH": str(folder),
+        "XDG_CACHE_HOME": home,
+        "MPLCONFIGDIR": home,  # matplotlib lists the fonts once, which takes a second
+        "JAX_ENABLE_COMPILATION_CACHE": "true",
+        "JAX_COMPILATION_CACHE_DIR": str(Path(home) / "jax"),
+    }

@@ -13,7 +13,10 @@ of their own, take turns with these, so that ratios do not depend on the day. Th
 is there when the line "Preliminary values" is printed; before, when the demo has ended.
 
 Then a gradient through an equilibrium that is called eagerly in a process of its own,
-and what second calls compile. Last, what the error of the mesh takes beside a fit.
+and what second calls compile; what the error of the mesh takes beside a fit. Last, two
+jobs on the command line: `softcal calibrate` of the beam with its search, intervals and
+pictures, cold and then warm, in seconds and over the time of its fit; and a sweep of 30
+trials with nothing compiled before. Of the demo, too, the time over that of its fit.
 """
 
 import json
@@ -26,13 +29,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from benchmarks._jobs import calibrations, fit_seconds, swept
 from benchmarks._mesh_error import ROBOTS
 from benchmarks._paper import CELLS, Cells
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import ROOT, run_process
+from benchmarks._timing import ROOT, at_home, run_process
 
 BEFORE = "c57df9d"
-COUNTS = {"imports": 7, "starts": 3, "gradients": 1, "mesh_errors": 1}
+COUNTS = {"imports": 7, "starts": 3, "gradients": 1, "mesh_errors": 1, "jobs": 1}
 GOALS = {
     "demo_cold_s": Goal("at most", 60.0),
     "demo_cold_over_before": Goal("at most", 0.35),
@@ -46,7 +50,11 @@ GOALS = {
     "mesh_error_memory_over_fit": Goal("at most", 1.5),
     "second_eager_call_compiles": Goal("at most", 0),
     "recompilations_after_first_step": Goal("at most", 0),
+    "beam_programs": Goal("at most", 40),
     "beam_programs_not_kept": Goal("at most", 0),
+    "job_warm_s": Goal("at most", 40.0),
+    "job_warm_over_fit": Goal("at most", 6.0),
+    "sweep_s": Goal("at most", 150.0),
 }
 
 _TIMED_IMPORT = (
@@ -220,6 +228,7 @@ def demo_starts(folder: Path = ROOT) -> dict[str, float]:
             for part, seconds in result["timing_s"].items():
                 name = re.sub(r"[^a-z0-9]+", "_", part.lower())
                 figures[f"demo_{start}_{name}_s"] = seconds
+            figures[f"demo_{start}_over_fit"] = said["total"] / fit_seconds(result)
     return figures
 
 
@@ -294,20 +303,23 @@ def mesh_errors(count: int, say: Say) -> Found:
     return {}, figures
 
 
+def jobs(count: int, say: Say) -> Found:
+    """Calibrations of the beam, and sweeps over it, as a user runs them."""
+    samples: dict[str, list[float]] = {}
+    figures: dict[str, Figure] = {}
+    for i in range(count):
+        say(f"softcal calibrate and softcal sweep of the beam, {i + 1} of {count}")
+        _add(samples, calibrations())
+        seconds, converged = swept()
+        _add(samples, {"sweep_s": seconds})
+        figures["sweep_trials_converged"] = converged
+    return samples, figures
+
+
 _PARTS = {
     "imports": imports,
     "starts": starts,
     "gradients": gradients,
     "mesh_errors": mesh_errors,
+    "jobs": jobs,
 }
-
-
-def at_home(home: str, folder: Path = ROOT) -> dict[str, str]:
-    """Environment of a tree, with nothing kept but what is in a folder."""
-    return {
-        "PYTHONPATH": str(folder),
-        "XDG_CACHE_HOME": home,
-        "MPLCONFIGDIR": home,  # matplotlib lists the fonts once, which takes a second
-        "JAX_ENABLE_COMPILATION_CACHE": "true",
-        "JAX_COMPILATION_CACHE_DIR": str(Path(home) / "jax"),
-    }

@@ -22,8 +22,8 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import ROOT, ratio, run_process
-from benchmarks.compile import at_home, tree_before
+from benchmarks._timing import ROOT, at_home, ratio, run_process
+from benchmarks.compile import tree_before
 from softcal_jax.sweeps import (
     Progress,
     SweepResult,
