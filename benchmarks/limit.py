@@ -239,7 +239,7 @@ def newton_per_lane(measured: MeasuredBeam) -> list[float]:
     settings = FROM_ANYWHERE
 
     def counted(evaluate: Evaluator, start) -> list[float]:
-        states = [initial_state(settings, start, evaluate.from_rest(start))]
+        states = [initial_state(settings, evaluate.from_rest(start))]
         end = descend(evaluate, settings, states[0], states.append)
         return _iterations(states) if end.converged else []
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks._paper import measured_beam
 from benchmarks._problem import Better, Figure, Options, Outcome, Table
-from softcal_jax.calibration import FROM_ANYWHERE, KKT_TOLERANCE, Evaluator, _qp
+from softcal_jax.calibration import FROM_ANYWHERE, Evaluator, _qp
 from softcal_jax.calibration._runs import minimise
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import random_starts
@@ -57,7 +57,7 @@ def run(options: Options) -> Outcome:
     by_kind["any"] = np.concatenate(list(by_kind.values()))
     table = []
     for kind, kkt in by_kind.items():
-        share = np.mean(kkt <= KKT_TOLERANCE, axis=0).tolist()
+        share = np.mean(kkt <= _qp.KKT_TOLERANCE, axis=0).tolist()
         table.append([kind, *(f"{100 * value:.2f} %" for value in share)])
         for stage, value in zip(STAGES, share, strict=True):
             figures[f"{kind}_solved_by_{stage}"] = value

@@ -10,8 +10,9 @@ from test_page import Read, check_page
 from wording import says
 
 from softcal_jax._files import sha256_of
+from softcal_jax.calibration import _runs
 from softcal_jax.cli import _calibrated, main
-from softcal_jax.control import _search, sample_workspace
+from softcal_jax.control import sample_workspace
 from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import load_factor
 from softcal_jax.report import load_result
@@ -143,14 +144,14 @@ def test_a_damaged_state_is_named(calibrated, tmp_path, capsys):
 
 
 def test_sigterm_writes_the_best_so_far(calibrated, tmp_path, capsys, monkeypatch):
-    count, decide = iter(range(2)), _search.decide
+    count, decide = iter(range(2)), _runs.decide
 
     def decided(*args):
         if next(count) == 1:
             signal.raise_signal(signal.SIGTERM)
         return decide(*args)
 
-    monkeypatch.setattr(_search, "decide", decided)
+    monkeypatch.setattr(_runs, "decide", decided)
     more = ["--goal", "tip=(-, -, 8) mm", "--limit", "push=0 N to 1 N"]
     assert run(calibrated, tmp_path / "out", *WEIGHT, *more) == 130
     assert says(capsys.readouterr().err, "interrupted", "best actuation so far")

@@ -62,7 +62,7 @@ from softcal_jax.calibration._starts import (
 )
 from softcal_jax.calibration._step import (
     FLAT as FLAT,
-    KKT_TOLERANCE as KKT_TOLERANCE,
+    OUTSIDE as OUTSIDE,
     CalibrationState as CalibrationState,
     initial_state as initial_state,
     propose as propose,

@@ -47,18 +47,22 @@ class Evaluation(Module):
     """Equilibria, errors and compliances of all configurations at one z.
 
     Attributes:
+        z: Scaled parameters [-].
         response: Equilibria, effectors and W_ep, one lane per configuration.
         delta_e: Simulated minus measured values; 0 where nothing is measured.
         rows: Errors and their derivatives in units of the noise, followed by those of
             the priors: what the QP of Eq. (10) minimises.
         ok: Whether every lane has an equilibrium and a regular tangent, and the cost is
             finite.
+        excess: How far readings exceed their limits, if there are any, see `Problem`.
     """
 
+    z: Float[Array, " n_p"]
     response: Response
     delta_e: Float[Array, "n_c n_rows 3"]
     rows: Whitened
     ok: Bool[Array, ""]
+    excess: Whitened | None = None
 
     @property
     def equilibrium(self) -> EquilibriumSolution:
@@ -119,11 +123,13 @@ def weighed(
 ) -> Evaluation:
     """Weigh the errors and compliances of all lanes, and add those of the priors."""
     delta_e = effector_errors(problem, response.effectors)
-    rows = problem.rows(z, delta_e, response.W_ep.reshape(-1, z.shape[0]))
+    compliance = response.W_ep.reshape(-1, z.shape[0])
+    rows = problem.rows(z, delta_e, compliance)
+    excess = problem.excess(response.effectors, compliance)
     ok = jnp.all(response.equilibrium.converged) & jnp.all(response.ok)
     # A tiny `std` makes the squares overflow, and an infinite cost never falls.
     finite = jnp.isfinite(_cost(ok, rows.error)) & jnp.all(jnp.isfinite(rows.W))
-    return Evaluation(response, delta_e, rows, finite)
+    return Evaluation(z, response, delta_e, rows, finite, excess)
 
 
 @eqx.filter_jit
@@ -210,7 +216,11 @@ class Evaluator:
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
-        return weighed(self.numbered, z, stacked([responses[c] for c in every]))
+        return self.weighed(z, stacked([responses[c] for c in every]))
+
+    def weighed(self, z: Float[Array, " n_p"], response: Response) -> Evaluation:
+        """Weigh what all lanes respond at scaled parameters [-]."""
+        return weighed(self.numbered, z, response)
 
     def _near(
         self,
@@ -369,7 +379,7 @@ class Evaluator:
         _FROM_REST[start] = response
         for oldest in list(_FROM_REST)[:-MOST_KEPT]:
             _FROM_REST.pop(oldest, None)
-        return weighed(self.numbered, z, response)
+        return self.weighed(z, response)
 
     def _without_data(self, z: Float[Array, " n_p"]) -> Hashable:
         """Identify all that a response depends on; arrays count by their digest."""

@@ -308,7 +308,7 @@ def _descended(
 ) -> Weighed:
     """Take steps to the optimum, or to an interruption, and weigh the data."""
     settings, problem = options.settings, start.evaluate.problem
-    first = initial_state(settings, place.z, place.evaluation)
+    first = initial_state(settings, place.evaluation)
     state, noise = journal.begin(first, place.noise)
     shares = np.array([c.relative_std == "estimated" for c in problem.poses])
     offset = bool(problem.uncertain.estimated)

@@ -102,7 +102,7 @@ def minimise(
     For `enough` and `note` see `descend`.
     """
     z = admissible(evaluate.numbered.space, start)
-    state = initial_state(settings, z, evaluate.from_rest(z))
+    state = initial_state(settings, evaluate.from_rest(z))
     costs = [float(state.evaluation.cost)]
 
     def noted(state: CalibrationState) -> None:
@@ -149,7 +149,7 @@ def settle(
     plain = evaluate.with_space(space.in_plain_steps())
 
     def again(state: CalibrationState) -> CalibrationState:
-        new = initial_state(settings, state.z, state.evaluation)
+        new = initial_state(settings, state.evaluation)
         return replace(new, step=state.step, least_fall=state.least_fall)  # count on
 
     for _ in range(MOST_SETTLED):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, Int, numpy_of
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, numpy_of
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._qp import (
@@ -44,6 +44,9 @@ SLOW = 1e-2
 
 The errors nearly cancel in the gradient there, and errors of W_ep do not.
 """
+
+OUTSIDE = 1e-6
+"""How far readings may exceed their limits, in steps to them [-]."""
 
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
@@ -101,28 +104,37 @@ def learned(
 class CalibrationState(Module):
     """State of the outer loop, with the evaluation at z and the bound on the next step.
 
-    `recent_costs` are those of the last accepted steps, the latest first; `lambda_p` is
-    the last QP step, with its residual, whether the polish had to end it, and whether
-    it was accepted. It has `converged` where lambda_p has vanished, not shortened by
+    `recent_costs` are those of the last accepted steps, the latest first, and
+    `recent_excess` how far readings exceeded their limits there, which weighs `penalty`
+    beside the cost. `lambda_p` is the last QP step, with its residual, whether the
+    polish had to end it, whether it was accepted, and whether it was `lost`, without an
+    equilibrium. It has `converged` where lambda_p has vanished, not shortened by
     the step bound, where `MEMORY` steps gained nothing, or steps were refused at a
     minimum, and has `stalled` where they were refused until the bound was below `tol`,
     away from a minimum. `least_fall` is the relative fall of the cost that is worth a
     step.
     """
 
-    z: Float[Array, " n_p"]
     evaluation: Evaluation
     curvature: Curvature
     recent_costs: Float[Array, " memory"]
+    recent_excess: Float[Array, " memory"]
+    penalty: Float[Array, ""]
     step_bound: Float[Array, ""]
     lambda_p: Float[Array, " n_p"]
     kkt_residual: Float[Array, ""]
     by_polish: Bool[Array, ""]
     accepted: Bool[Array, ""]
+    lost: Bool[Array, ""]
     step: Int[Array, ""]
     converged: Bool[Array, ""]
     stalled: Bool[Array, ""]
     least_fall: Float[Array, ""]
+
+    @property
+    def z(self) -> Float[Array, " n_p"]:
+        """The scaled parameters [-]."""
+        return self.evaluation.z
 
     @property
     def ended(self) -> bool:
@@ -131,33 +143,55 @@ class CalibrationState(Module):
 
 
 def initial_state(
-    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
+    settings: CalibrationSettings, evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
-    n, no, xp = len(z), np.array(False), numpy_of(evaluation.cost)
+    n, no, xp = len(evaluation.z), np.array(False), numpy_of(evaluation.cost)
     costs = xp.append(xp.asarray(evaluation.cost), np.full(MEMORY - 1, -np.inf))
+    excess = xp.append(_excess(evaluation, evaluation), np.zeros(MEMORY - 1))
     # From the host, since each of these would be a program.
     state: Any = {
         "curvature": Curvature(*jax.device_put((np.zeros((n, n)), no))),
         "recent_costs": costs,
+        "recent_excess": excess,
+        "penalty": np.ones(()),
         "step_bound": np.array(settings.step_bound, float),
         "lambda_p": np.full(n, np.inf),
         "kkt_residual": np.zeros(()),
         "by_polish": no,
         "accepted": ~no,
+        "lost": no,
         "step": np.zeros((), np.int32),
         "converged": no,
         "stalled": no,
         "least_fall": np.array(settings.least_fall, float),
     }
-    return CalibrationState(z=z, evaluation=evaluation, **jax.device_put(state))
+    return CalibrationState(evaluation=evaluation, **jax.device_put(state))
+
+
+def _lengths(now: Evaluation) -> Float[Array | HostArray, " n"]:
+    """Return the change of each limited reading per unit of the step."""
+    assert now.excess is not None
+    xp = numpy_of(now.excess.W)
+    size = xp.linalg.norm(xp.asarray(now.excess.W), axis=1)
+    return xp.where(size > 0.0, size, 1.0)
+
+
+def _excess(now: Evaluation, of: Evaluation) -> Float[Array | HostArray, ""]:
+    """Add up by how many steps, as linear `now`, readings exceed their limits [-]."""
+    if now.excess is None or of.excess is None:
+        return numpy_of(of.cost).zeros(())
+    xp = numpy_of(of.excess.error)
+    beyond = xp.maximum(xp.asarray(of.excess.error), 0.0)
+    return xp.asarray(xp.maximum(xp.sum(beyond / _lengths(now)), OUTSIDE))
 
 
 class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
     `cost` is predicted by the model of the QP, `costs` by the linear model of the
-    errors, without and with curvature. `precise` asks for exact compliances. A step
+    errors, without and with curvature, and `excess` by that of limited readings.
+    `precise` asks for exact compliances. A step
     that `vanishes` is too small to be worth an evaluation.
     """
 
@@ -166,6 +200,7 @@ class Proposal(Module):
     guess: Float[Array, "n_c n_nodes 3"]
     cost: Float[Array, ""]
     costs: Float[Array, "2"]
+    excess: Float[Array, ""]
     precise: Bool[Array, ""]
     vanishes: Bool[Array, ""]
 
@@ -245,6 +280,11 @@ def _proposal(
     linear = jax.tree.map(lambda steps: steps[0], both)
     small = partial(_small, space, settings, state)
     vanishes = small(qp, cost) & small(linear, costs(linear.lambda_p)[0]) & now.ok
+    after = jnp.zeros(())
+    if now.excess is not None:
+        beyond = now.excess.error + now.excess.W @ (J @ qp.lambda_p)
+        after = jnp.sum(jnp.maximum(beyond, 0.0) / _lengths(now))
+        after = jnp.maximum(after, OUTSIDE)
     guess = before = now.equilibrium.displacement
     if now.response.displacement is not None:
         dz = J @ qp.lambda_p
@@ -262,6 +302,7 @@ def _proposal(
         guess=stay(guess, before),
         cost=cost,
         costs=predicted,
+        excess=after,
         precise=now.cost - cost <= SLOW * now.cost,
         vanishes=vanishes,
     )
@@ -297,6 +338,15 @@ def _limits(
         high = high.at[free].set(state.step_bound)
         A = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
         b = jnp.concatenate([b, up[moduli], -down[moduli]])
+    excess = state.evaluation.excess
+    if excess is not None:
+        lengths, limited = _lengths(state.evaluation), jnp.isfinite(excess.error)
+        rows = jnp.where(limited[:, None], excess.W @ J / lengths[:, None], 0.0)
+        room = jnp.where(limited, -excess.error / lengths, 1.0)
+        # What is exceeded is reduced only as far as the trust region allows.
+        reach = 0.9 * state.step_bound * jnp.sum(jnp.abs(rows), axis=1)
+        A = jnp.concatenate([A, rows])
+        b = jnp.concatenate([b, jnp.maximum(room, -reach)])
     return QPLimits(low, high, A, b, settings.damping)
 
 
@@ -313,7 +363,12 @@ def _small(
     size_of_cost = jnp.maximum(state.evaluation.cost, settings.least_cost)
     no_gain = settings.adapt & (fall <= state.least_fall * size_of_cost)
     free = ~_is_at_bound(space, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
-    return ((size <= settings.tol) | no_gain) & free
+    return ((size <= settings.tol) | no_gain) & free & _keeps(state.recent_excess[0])
+
+
+def _keeps(excess: Float[Array, ""]) -> Bool[Array, ""]:
+    """Return whether readings are within their limits, up to rounding."""
+    return excess <= 10.0 * OUTSIDE
 
 
 def _is_at_bound(
@@ -332,13 +387,26 @@ def decide(
     proposal: Proposal,
     tried: Evaluation,
 ) -> CalibrationState:
-    """Accept a proposed step if it helps, and adapt the bound on the next."""
+    """Accept a proposed step if it helps, and adapt the bound on the next.
+
+    Where readings have limits, the cost counts with what exceeds them, as an exact
+    penalty function: its weight is raised until the sum is expected to fall along the
+    step that the QP found (Nocedal and Wright, Numerical Optimization, 2006, Eq.
+    18.36).
+    """
     now, lambda_p = state.evaluation, proposal.qp.lambda_p
     curvature, longest = state.curvature, settings.step_bound
-    predicted = now.cost - proposal.cost
-    gain = (now.cost - tried.cost) / jnp.maximum(predicted, 1e-300)
-    reference = jnp.max(state.recent_costs)
-    lowered = tried.cost <= reference - 1e-4 * predicted
+    penalty = state.penalty
+    if now.excess is not None:
+        inwards = state.recent_excess[0] - proposal.excess
+        needed = 2.0 * (proposal.cost - now.cost) / inwards
+        penalty = jnp.where(inwards > 0.0, jnp.maximum(penalty, needed), penalty)
+    merit = lambda cost, excess: cost + penalty * excess
+    recent_merits = merit(state.recent_costs, state.recent_excess)
+    predicted = recent_merits[0] - merit(proposal.cost, proposal.excess)
+    reached = merit(tried.cost, _excess(now, tried))
+    gain = (recent_merits[0] - reached) / jnp.maximum(predicted, 1e-300)
+    lowered = reached <= jnp.max(recent_merits) - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
     at_bound = _is_at_bound(space, state, proposal.qp)
     worth = settings.least_fall * jnp.maximum(now.cost, settings.least_cost)
@@ -351,26 +419,31 @@ def decide(
         longest = jnp.where((gain > 0.75) & at_bound, longest, bound)
         curvature = _after(space, state, proposal, tried)
     bound = jnp.where(accepted, longest, 0.25 * size)
-    recent = jnp.roll(state.recent_costs, 1).at[0].set(tried.cost)
+    latest = lambda old, new: jnp.roll(old, 1).at[0].set(new)
+    recent = latest(state.recent_costs, tried.cost)
+    excess = latest(state.recent_excess, _excess(tried, tried))
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # Steps that go on, and together gain less than one is worth.
     gained = jnp.max(recent) - jnp.min(recent)
-    idle = accepted & settings.adapt & (gained <= worth)
+    idle = accepted & settings.adapt & (gained <= worth) & _keeps(excess[0])
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
     # all constraints for a step so short that the model is linear.
     flat = predicted <= FLAT * size * 2.0 * now.cost
+    flat &= _keeps(state.recent_excess[0])
     keep = lambda new, old: jnp.where(accepted, new, old)
     return CalibrationState(
-        z=keep(proposal.z, state.z),
         evaluation=jax.tree.map(keep, tried, now),
         curvature=curvature,
         recent_costs=keep(recent, state.recent_costs),
+        recent_excess=keep(excess, state.recent_excess),
+        penalty=penalty,
         step_bound=bound,
         lambda_p=lambda_p,
         kkt_residual=proposal.qp.kkt_residual,
         by_polish=proposal.qp.by_polish,
         accepted=accepted,
+        lost=~tried.ok,
         step=state.step + 1,
         converged=vanished | idle | (collapsed & flat),
         stalled=collapsed & ~flat,
@@ -387,7 +460,7 @@ def _after(
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
     W_now = now.rows.W @ _step_coordinates(space, state.z)
-    W_tried = tried.rows.W @ _step_coordinates(space, proposal.z)
+    W_tried = tried.rows.W @ _step_coordinates(space, tried.z)
     error = jnp.where(tried.cost <= now.cost, tried.rows.error, now.rows.error)
     new = learned(
         state.curvature,

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator, weighed
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import CalibrationState, initial_state
@@ -141,8 +141,8 @@ def weighed_fit(
             state = _until(NOT_TAKEN, evaluate, settings, state, note)
             break
         noise, evaluate = new, evaluate.with_noise(new)
-        evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
-        state = initial_state(settings, state.z, evaluation)
+        evaluation = evaluate.weighed(state.z, state.evaluation.response)
+        state = initial_state(settings, evaluation)
     notes += _noise_notes(noise, sought, None if settled else change)
     return Weighed(state, noise, sought, tuple(notes), scale, settled)
 

@@ -3,10 +3,11 @@
 The search is compiled once for all goals and all models of the same shapes.
 """
 
+from softcal_jax.control._command import ControlSettings as ControlSettings
 from softcal_jax.control._goals import (
     Goal as Goal,
     Limits as Limits,
-    limit_arrays as limit_arrays,
+    commanded as commanded,
     with_goals as with_goals,
     with_marker_goals as with_marker_goals,
 )
@@ -35,4 +36,3 @@ from softcal_jax.control._solve import (
     solve_inverse as solve_inverse,
     strongest_limits as strongest_limits,
 )
-from softcal_jax.control._step import ControlSettings as ControlSettings

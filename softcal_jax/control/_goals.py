@@ -134,21 +134,36 @@ class Limits(Module):
     step: float = np.inf
 
 
-class LimitArrays(NamedTuple):
-    """Lowest and highest values of what is imposed, the inputs, and of what follows.
+class Input(NamedTuple):
+    """An actuator that is commanded, in its unit.
 
-    Both limits of an input are equal for an actuator that is not commanded. `step`
-    limits the change of an input.
+    Attributes:
+        a: Its index.
+        by_displacement: Whether its displacement is imposed, else its force.
+        start: The imposed value at which it starts.
+        imposed: Lowest and highest value of that.
+        following: Lowest and highest value of what is not imposed and follows.
+        step: Largest change of the imposed value within one command.
     """
 
-    inputs: Float[HostArray, "2 n_a"]
-    following: Float[HostArray, "2 n_a"]
-    step: Float[HostArray, " n_a"]
+    a: int
+    by_displacement: bool
+    start: float
+    imposed: tuple[float, float]
+    following: tuple[float, float]
+    step: float
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """Lowest and highest imposed value, the longest step included."""
+        (lower, upper), start, step = self.imposed, self.start, self.step
+        return max(lower, start - step), min(upper, start + step)
 
 
-def limit_arrays(
+def commanded(
     mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
-) -> LimitArrays:
+) -> list[Input]:
+    """Return the actuators in the actuation of a configuration, with their limits."""
     actuators, actuation = mechanism.actuators, configuration.actuation
     check_known("actuator with limits", actuators.names, *limits)
     for name in limits:
@@ -157,9 +172,7 @@ def limit_arrays(
                 f"actuator {name!r} has limits, but is not commanded: give it a start "
                 f"in the `actuation` of configuration {configuration.name!r}."
             )
-    n_a = len(actuators.names)
-    inputs, following = np.zeros((2, n_a)), np.repeat(np.array([ANYTHING]).T, n_a, 1)
-    step = np.full(n_a, np.inf)
+    inputs = []
     for name, asked in actuation.items():
         a = actuators.names.index(name)
         kind, given = actuators.kinds[a], limits.get(name, Limits())
@@ -170,12 +183,11 @@ def limit_arrays(
             displacement = np.clip(displacement, -np.pi, np.pi)
         if not given.step >= 0.0:
             raise ValueError(f"{what}: step must not be negative, got {given.step:g}.")
-        step[a] = given.step
         by_displacement = isinstance(asked, ImposedDisplacement)
         quantity = "displacement" if by_displacement else "force"
         both = (displacement, force) if by_displacement else (force, displacement)
-        inputs[:, a], following[:, a] = both
-        (lower, upper), unit = inputs[:, a], getattr(kind, f"{quantity}_unit")
+        (lower, upper), (least, most) = (map(float, pair) for pair in both)
+        unit = getattr(kind, f"{quantity}_unit")
         noun = kind.force if quantity == "force" else quantity
         if not lower <= asked.value <= upper:
             raise ValueError(
@@ -183,7 +195,10 @@ def limit_arrays(
                 f"{unit} in `actuation`, the limits are {lower:g} to {upper:g} {unit}. "
                 "Start inside them, or widen them."
             )
-    return LimitArrays(inputs, following, step)
+        start, step = float(asked.value), float(given.step)
+        ends = (lower, upper), (least, most)
+        inputs.append(Input(a, by_displacement, start, *ends, step))
+    return inputs
 
 
 def _range(kind: Kind, what: str, quantity: str, given) -> Float[HostArray, "2"]:

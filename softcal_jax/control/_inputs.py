@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float, HostArray, numpy_of
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -131,13 +131,13 @@ def actuator_compliance(
     stands_still = jnp.diag(displacements) == 0.0
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
-    acts &= _is_resisted(forces, displacements, changes.displacement)
+    acts &= is_resisted(forces, displacements, changes.displacement)
     return ActuatorCompliance(
         state=state,
         W_ea=W_ea,
         by_force=forces,
         by_displacement=displacements,
-        W_aa=_force_compliance(
+        W_aa=force_compliance(
             forces, displacements, acts, symmetric=not any(actuators.has_friction)
         ),
         slack=slack,
@@ -145,24 +145,25 @@ def actuator_compliance(
     )
 
 
-def _is_resisted(by_force, by_displacement, displacement):
+def is_resisted(by_force, by_displacement, displacement):
     """Return which inputs meet a stiffness: energy per squared motion [N/m]."""
-    energy = jnp.abs(jnp.sum(by_force * by_displacement, axis=0))
-    motion = jnp.abs(displacement).max(axis=(1, 2), initial=0.0)
-    stiffness = energy / jnp.where(motion > 0.0, motion, 1.0) ** 2
+    xp = numpy_of(by_force)
+    energy = xp.abs(xp.sum(by_force * by_displacement, axis=0))
+    motion = xp.abs(displacement).max(axis=(1, 2), initial=0.0)
+    stiffness = energy / xp.where(motion > 0.0, motion, 1.0) ** 2
     # True where the stiffness is nan, so that results stay nan.
     return ~(stiffness <= _NO_STIFFNESS * stiffness.max(initial=0.0))
 
 
-def _force_compliance(by_force, by_displacement, acts, *, symmetric: bool):
+def force_compliance(by_force, by_displacement, acts, *, symmetric: bool):
     """Solve delta = W_aa lambda for W_aa, given both changes per input.
 
     Solving covers motors too, whose bodies are held and therefore no unknowns.
     """
-    both = acts[:, None] & acts[None]
-    by_force = jnp.where(both, by_force, jnp.eye(acts.size, dtype=by_force.dtype))
-    by_displacement = jnp.where(both, by_displacement, 0.0)
-    W = jnp.linalg.solve(by_force.T, by_displacement.T).T
+    xp, both = numpy_of(by_force), acts[:, None] & acts[None]
+    by_force = xp.where(both, by_force, xp.eye(acts.size, dtype=by_force.dtype))
+    by_displacement = xp.where(both, by_displacement, 0.0)
+    W = xp.linalg.solve(by_force.T, by_displacement.T).T
     return 0.5 * (W + W.T) if symmetric else W
 
 

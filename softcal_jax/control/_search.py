@@ -6,37 +6,27 @@ its start, which need not be the best one.
 
 import warnings
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from softcal_jax._results import RESULTS
 from softcal_jax._text import SoftcalWarning
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.control._inputs import (
-    ActuatorCompliance,
-    ActuatorReadings,
-    actuator_compliance,
-    actuator_readings,
-    with_inputs,
+from softcal_jax.calibration import (
+    OUTSIDE,
+    CalibrationState,
+    Evaluation,
+    descend,
+    initial_state,
 )
+from softcal_jax.control._command import Command
 from softcal_jax.control._result import OUTCOMES, Attempt, StepRecord
-from softcal_jax.control._step import (
-    ROUNDING,
-    Command,
-    Decision,
-    Linear,
-    all_errors,
-    decide,
-    follow_room,
-    limited_step,
-    linearise,
-    parts,
-    violation,
-)
-from softcal_jax.equilibrium import EquilibriumSolution, solve_equilibrium
+
+ENDED = 1e-3
+"""Step without an equilibrium at which these count as ended, as `step_tol` [-]."""
 
 PATIENCE = 3  # steps in a row of an exploring descent of which some must come closer
 
@@ -67,92 +57,56 @@ their distances may differ: then the goals are far away, and other starts do not
 Where goals can be reached, ends that miss them differ by factors.
 """
 
-NOWHERE = np.full(2, np.inf)  # the parts of a step that leads to no equilibrium
-
-
-class Reached(NamedTuple):
-    """The equilibrium at some inputs, slack cables wound up, and the readings there."""
-
-    value: Float[HostArray, " n_a"]
-    solution: EquilibriumSolution
-    state: ActuatorReadings
-
-
-class Arrival(NamedTuple):
-    """An equilibrium with its derivatives, which are nan where there is none."""
-
-    value: Float[HostArray, " n_a"]
-    solution: EquilibriumSolution
-    compliance: ActuatorCompliance
-
-    @property
-    def stands(self) -> bool:
-        return bool(np.isfinite(self.compliance.W_ea).all())
-
 
 class Descent(NamedTuple):
-    """Where a descent is, what followed from its last step, and how it ended.
+    """Where a descent is, and how it ended; `outcome` is None while it can go on."""
 
-    `linear` is None without derivatives, `outcome` while it can go on.
-    """
-
-    arrival: Arrival
-    linear: Linear | None
-    decision: Decision
+    robot: Command
+    state: CalibrationState
     outcome: OUTCOMES | None = None
     records: tuple[StepRecord, ...] = ()
+
+    @property
+    def here(self) -> Evaluation:
+        return self.state.evaluation
 
     @property
     def met(self) -> bool:
         return self.outcome is not None and bool(self.outcome == OUTCOMES.met)
 
+    @property
+    def ended(self) -> bool:
+        """Whether even a short step leads to no equilibrium."""
+        return bool(self.state.lost) and float(self.state.step_bound) < ENDED
 
-def reached(
-    command: Command,
-    value: Float[HostArray, " n_a"],
-    guess: Float[HostArray, "n_points 3"],
-) -> Reached:
-    """Solve for the equilibrium at inputs within their limits; wind up slack cables.
-
-    Winding them up until they are just taut does not change the equilibrium, but a
-    slack cable has no effect on the robot and so no derivative, whereas a taut one has.
-    """
-    lower, upper = command.box()
-    value = np.clip(value, lower, upper)
-    lane = with_inputs(command.lane, jnp.asarray(value))
-    start, newton = jnp.asarray(guess), command.settings.newton
-    solution = solve_equilibrium(command.model, lane, guess=start, settings=newton)
-    state = _readings(command.model, lane, solution)
-    wound = np.maximum(value, np.minimum(state.displacements, upper))
-    cable = command.model.mechanism.actuators.unilateral
-    cable = cable & np.asarray(lane.actuation.by_displacement) & (upper > lower)
-    return Reached(np.where(cable, wound, value), solution, state)
-
-
-_readings = eqx.filter_jit(actuator_readings)
+    @property
+    def keeps_limits(self) -> bool:
+        """Whether what follows the actuators is within its limits."""
+        return float(self.state.recent_excess[0]) <= OUTSIDE
 
 
 class ControlWarning(SoftcalWarning):
     """A goal or a start that is probably a mistake."""
 
 
-def approached(command: Command, guess: Float[HostArray, "n_points 3"]) -> Reached:
+def approached(robot: Command, guess: Float[HostArray, "n_points 3"]) -> Evaluation:
     """Solve at the start, or as far on the way to it from no input as there are any.
 
     Warns:
         ControlWarning: If the start has no equilibrium, but a share of it has one.
     """
-    start = reached(command, command.start, guess)
-    if start.solution.converged:
+    asked, at = robot.start, jax.device_put(guess[None])
+    start = robot(jax.device_put(asked), at)
+    if start.equilibrium.converged[0]:
         return start
-    none, share, piece = np.clip(0.0, *command.box()), 0.0, 0.5
-    here = reached(command, none, np.zeros_like(guess))
-    if not here.solution.converged:
+    none, share, piece = np.clip(0.0, *robot.box()), 0.0, 0.5
+    here = robot(*jax.device_put((none, np.zeros(at.shape))))
+    if not here.equilibrium.converged[0]:
         return start
     while share < 1.0 and piece >= NEAREST:
-        value = none + (share + piece) * (command.start - none)
-        tried = reached(command, value, np.asarray(here.solution.displacement))
-        if tried.solution.converged:
+        value = jax.device_put(none + (share + piece) * (asked - none))
+        tried = robot(value, here.equilibrium.displacement)
+        if tried.equilibrium.converged[0]:
             here, share = tried, share + piece
             piece = min(2.0 * piece, 1.0 - share)
         else:
@@ -163,113 +117,75 @@ def approached(command: Command, guess: Float[HostArray, "n_points 3"]) -> Reach
     return here
 
 
-def differentiated(command: Command, equilibrium: Reached) -> Arrival:
-    """Add the derivatives. A factorization: only worth it for a step that is kept."""
-    lane = with_inputs(command.lane, jnp.asarray(equilibrium.value))
-    compliance = actuator_compliance(command.model, lane, equilibrium.solution)
-    return Arrival(equilibrium.value, equilibrium.solution, compliance)
+def begin(robot: Command, here: Evaluation) -> Descent:
+    """Return a descent before its first step."""
+    if here.ok:
+        robot, here = robot.weighing_energy(here)
+    first = Descent(robot, initial_state(robot.settings.loop, here))
+    if here.ok:
+        return first._replace(outcome=_outcome(first))
+    result = robot.solution(here).result
+    singular = (result == RESULTS.converged) | (result == RESULTS.singular)
+    outcome = OUTCOMES.singular if bool(singular) else OUTCOMES.no_equilibrium
+    return first._replace(outcome=outcome)
 
 
-def moved(command: Command, base: Arrival, change: Float[HostArray, " n_a"]) -> Reached:
-    """Solve for the equilibrium after a change of the inputs, from its prediction."""
-    motion = np.tensordot(change, base.compliance.displacement, axes=1)
-    guess = np.asarray(base.solution.displacement) + motion
-    return reached(command, base.value + change, guess)
+def continued(start: Descent, *, explore: bool = False) -> Descent:
+    """Take steps, as a calibration does, until the goals are met or no step helps.
 
-
-def begin(command: Command, arrival: Arrival) -> Descent:
-    decision = Decision(command.settings.step_bound)
-    if not arrival.stands:
-        result = arrival.solution.result
-        singular = (result == RESULTS.converged) | (result == RESULTS.singular)
-        outcome = OUTCOMES.singular if bool(singular) else OUTCOMES.no_equilibrium
-        return Descent(arrival, None, decision, outcome)
-    linear = linearise(command, arrival.value, arrival.compliance)
-    outcome = _outcome(command, arrival, linear, decision, [])
-    return Descent(arrival, linear, decision, outcome)
-
-
-def descend(command: Command, start: Descent, *, explore: bool = False) -> Descent:
-    """Repeat: linearise, solve the QP, try the step, keep it if it helps.
-
-    With `explore` it stops once steps hardly come closer any more. Near a goal that is
-    met, the error falls tenfold with each step; at a fold of the map from inputs to
-    effectors, most steps are spent on the last digits of a minimum. A KeyboardInterrupt
-    carries the descent so far.
+    With `explore` it stops once steps hardly come closer any more, where it came
+    closest. Near a goal that is met, the error falls tenfold with each step; at a fold
+    of the map from inputs to effectors, most steps are spent on the last digits of a
+    minimum. A KeyboardInterrupt carries the descent so far.
     """
-    arrival, linear, decision, outcome, records = start
-    settings, records = command.settings, list(records)
-    try:
-        while outcome is None and not (explore and _slow(records)):
-            assert linear is not None
-            qp = limited_step(linear, jnp.asarray(decision.step_bound))
-            step = np.asarray(qp.lambda_p)
-            equilibrium = moved(command, arrival, step * linear.scale)
-            tried, before = NOWHERE, decision
-            if equilibrium.solution.converged:
-                room = follow_room(command, equilibrium.state, linear.length)
-                off = all_errors(command, equilibrium.state, linear.energy)
-                tried = parts(room, off)
-            decision = decide(linear, qp, tried, before, settings)
-            if decision.accepted:
-                candidate = differentiated(command, equilibrium)
-                if candidate.stands:
-                    at = candidate.value, candidate.compliance
-                    arrival, linear = candidate, linearise(command, *at)
-                else:
-                    # A singular equilibrium counts as none: no step leads on from it.
-                    decision = decide(linear, qp, NOWHERE, before, settings)
-            records.append(
-                StepRecord(
-                    size=float(np.abs(step).max()),
-                    cost=0.5 * float((linear.error**2).sum()),
-                    violation=violation(linear.b),
-                    kkt_residual=float(qp.kkt_residual),
-                    newton_steps=int(equilibrium.solution.steps),
-                    accepted=decision.accepted,
-                )
-            )
-            outcome = _outcome(command, arrival, linear, decision, records)
-    except KeyboardInterrupt:
-        so_far = Descent(
-            arrival, linear, decision, OUTCOMES.interrupted, tuple(records)
+    now, robot, closest = start, start.robot, start
+
+    def note(state: CalibrationState) -> None:
+        nonlocal now, closest
+        step = StepRecord(
+            size=float(np.abs(state.lambda_p).max()),
+            cost=float(state.evaluation.cost),
+            violation=float(state.recent_excess[0]),
+            kkt_residual=float(state.kkt_residual),
+            newton_steps=int(state.evaluation.equilibrium.steps[0]),
+            accepted=bool(state.accepted),
         )
-        raise KeyboardInterrupt(so_far) from None
-    return Descent(arrival, linear, decision, outcome, tuple(records))
+        now = Descent(robot, state, records=(*now.records, step))
+        now = now._replace(outcome=_outcome(now))
+        closest = now if tuple(_parts(now)) <= tuple(_parts(closest)) else closest
+
+    enough = lambda _: now.outcome is not None or (explore and _slow(now.records))
+    try:
+        descend(robot, robot.settings.loop, start.state, note, enough)
+    except KeyboardInterrupt:
+        interrupted = now._replace(outcome=OUTCOMES.interrupted)
+        raise KeyboardInterrupt(interrupted) from None
+    return now if now.outcome else closest._replace(records=now.records)
 
 
 def _slow(records: Sequence[StepRecord]) -> bool:
     if len(records) <= PATIENCE:
         return False
-    before, now = records[-1 - PATIENCE], records[-1]
-    return (
-        now.cost > CLOSER * before.cost and now.violation >= CLOSER * before.violation
-    )
+    before, since = records[-1 - PATIENCE], records[-PATIENCE:]
+    cost, violation = (min(map(attrgetter(k), since)) for k in ("cost", "violation"))
+    return cost > CLOSER * before.cost and violation >= CLOSER * before.violation
 
 
-def _outcome(
-    command: Command,
-    arrival: Arrival,
-    linear: Linear,
-    decision: Decision,
-    records: Sequence[StepRecord],
-) -> OUTCOMES | None:
+def _outcome(now: Descent) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
-    settings = command.settings
-    error = np.abs(command.residuals(arrival.compliance.state)).max()
-    kept_limits = violation(linear.b) <= ROUNDING
-    met = error <= settings.tol and kept_limits
-    if met and (settings.epsilon == 0.0 or decision.vanished):
+    state, settings, kept = now.state, now.robot.settings, now.keeps_limits
+    met = kept and now.robot.off(now.here) <= settings.tol
+    if met and (settings.epsilon == 0.0 or state.converged):
         return OUTCOMES.met
-    if decision.vanished or (decision.ended and kept_limits):
+    if state.converged or (now.ended and kept):
         return OUTCOMES.nearest
-    if decision.stalled or decision.ended:
-        return OUTCOMES.stalled if kept_limits else OUTCOMES.limits_violated
-    return OUTCOMES.max_steps if len(records) >= settings.max_steps else None
+    if state.stalled or now.ended:
+        return OUTCOMES.stalled if kept else OUTCOMES.limits_violated
+    return OUTCOMES.max_steps if len(now.records) >= settings.max_steps else None
 
 
 def search(
-    command: Command, guess: Float[HostArray, "n_points 3"]
+    robot: Command, guess: Float[HostArray, "n_points 3"]
 ) -> tuple[Descent, tuple[Attempt, ...]]:
     """Descend from the start; unless the goals are met, explore all other ways, too.
 
@@ -279,189 +195,171 @@ def search(
     itself are taken to their ends. Returns the better one, with all attempts; if
     interrupted, the best so far.
     """
-    at_start = approached(command, guess)
-    first = begin(command, differentiated(command, at_start))
-    if first.linear is None:
-        return first, ()
+    at_start = approached(robot, guess)
+    if not at_start.ok:
+        return begin(robot, at_start), ()
+    robot, at_start = robot.by_motion(at_start)
+    first = begin(robot, at_start)
     tried, best = {"the start": first}, "the start"
     try:
-        for way, descent in _ways(command, first):
+        for way, descent in _ways(first):
             tried[way] = descent
-            if descent.met or _better(command, descent, tried[best]):
-                best = way
-            if descent.met or _agree(command, [*tried.values()]):
+            best = way if _better(descent, tried[best]) else best
+            if descent.met or _agree([*tried.values()]):
                 break
         # A scan saw what else there is; elsewhere the start may still come closer.
-        ends = (best,) if _is_single(command) else ("the start", best)
+        ends = (best,) if len(robot.inputs) == 1 else ("the start", best)
         for way in () if tried[best].met else dict.fromkeys(ends):
-            tried[way] = descend(command, tried[way])
-        if not _better(command, tried[best], tried["the start"]):
+            tried[way] = continued(tried[way])
+        if not _better(tried[best], tried["the start"]):
             best = "the start"
     except KeyboardInterrupt as stop:
         for descent in stop.args:  # the one that was under way, if any
             tried["the last, interrupted"] = descent
-            if not _better(command, tried[best], descent):
+            if not _better(tried[best], descent):
                 best = "the last, interrupted"
-        # Nothing holds the robot there: more steps would have followed.
-        ended = {"outcome": OUTCOMES.interrupted, "linear": None}
-        tried[best] = tried[best]._replace(**ended)
-    error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
+        tried[best] = tried[best]._replace(outcome=OUTCOMES.interrupted)
     return tried[best], tuple(
-        Attempt(way, end.outcome, float(error(end)), len(end.records))
+        Attempt(way, end.outcome, robot.off(end.here), len(end.records))
         for way, end in tried.items()
     )
 
 
-def _agree(command: Command, tried: Sequence[Descent]) -> bool:
+def _agree(tried: Sequence[Descent]) -> bool:
     """Tell whether the last ends are as far from the goals as the best, in limits."""
-    if len(tried) < AGREEING or any(end.linear is None for end in tried):
+    if len(tried) < AGREEING or not all(end.here.ok for end in tried):
         return False
-    off = [np.linalg.norm(command.residuals(d.arrival.compliance.state)) for d in tried]
-    kept = [violation(d.linear.b) <= ROUNDING for d in tried if d.linear is not None]
-    return all(kept) and bool(max(off[-AGREEING:]) <= (1.0 + AS_FAR) * min(off))
+    off = [np.linalg.norm(end.robot.residuals(end.here)) for end in tried]
+    near = max(off[-AGREEING:]) <= (1.0 + AS_FAR) * min(off)
+    return bool(near) and all(end.keeps_limits for end in tried)
 
 
-def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
-    others = command.settings.other_starts > 0
-    nearest = descend(command, first, explore=others)
+def _ways(first: Descent) -> Iterator[tuple[str, Descent]]:
+    robot = first.robot
+    others = robot.settings.other_starts > 0
+    nearest = continued(first, explore=others)
     yield "the start", nearest
     if not others:
         return
-    if _is_single(command):
-        for k, start in enumerate(_scanned(command, first, nearest), start=1):
-            yield f"other start {k}, of a scan", descend(command, start, explore=True)
+    if len(robot.inputs) == 1:
+        for k, start in enumerate(_scanned(first, nearest), start=1):
+            yield f"other start {k}, of a scan", continued(start, explore=True)
         return
-    for k, value in enumerate(_other_starts(command, first), start=1):
-        arrival = _driven(command, first.arrival, value)
-        if arrival is not None:
-            descent = descend(command, begin(command, arrival), explore=True)
-            yield f"other start {k}", descent
-    continued = _continued(command, first.arrival)
-    if continued is not None:
-        yield "the start, over a continuation of the goals", continued
+    for k, z in enumerate(_other_starts(first), start=1):
+        there = _driven(robot, first.here, z)
+        if there is not None:
+            yield f"other start {k}", continued(begin(robot, there), explore=True)
+    over_goals = _over_goals(robot, first.here)
+    if over_goals is not None:
+        yield "the start, over a continuation of the goals", over_goals
 
 
-def _is_single(command: Command) -> bool:
-    lower, upper = command.box()
-    return int(np.sum(upper > lower)) == 1
-
-
-def _scanned(command: Command, first: Descent, nearest: Descent) -> list[Descent]:
+def _scanned(first: Descent, nearest: Descent) -> list[Descent]:
     """Drive a single input over its reach, and return where the goals are nearest.
 
     These are the minima over the scan, the lowest first, but for that which is found
     already. In each direction the scan ends where there is no equilibrium any more.
     """
-    low, high = _reach(command, first)
-    (a,) = np.flatnonzero(high > low)
-    start, along = first.arrival.value[a], [nearest]
-    values = np.linspace(low[a], high[a], SCANNED)
+    robot, start, along = first.robot, float(first.state.z[0]), [nearest]
+    (low,), (high,) = _reach(first)
+    values = np.linspace(low, high, SCANNED)
     for way in (values[values < start][::-1], values[values > start]):
-        arrival: Arrival | None = first.arrival
+        here: Evaluation | None = first.here
         for value in way:
-            target = np.where(high > low, value, arrival.value)
-            arrival = _driven(command, arrival, target)
-            if arrival is None:
+            here = _driven(robot, here, np.array([value]))
+            if here is None:
                 break
-            along.append(begin(command, arrival))
-    along.sort(key=lambda descent: descent.arrival.value[a])
+            along.append(begin(robot, here))
+    along.sort(key=lambda descent: float(descent.state.z[0]))
     beside = lambda k: along[max(k - 1, 0) : k] + along[k + 1 : k + 2]
     lowest = [
         descent
         for k, descent in enumerate(along)
         if descent is not nearest
-        and all(_better(command, descent, other) for other in beside(k))
+        and all(_better(descent, other) for other in beside(k))
     ]
-    return sorted(lowest, key=lambda descent: tuple(_parts(command, descent)))
+    return sorted(lowest, key=lambda descent: tuple(_parts(descent)))
 
 
-def _continued(command: Command, first: Arrival) -> Descent | None:
+def _over_goals(robot: Command, first: Evaluation) -> Descent | None:
     """Descend towards goals that move from where the effectors start to the real goals.
 
     With r_0 the errors there, the goals of a share s are those at which e - goal is
     (1 - s) r_0. Each share starts at the inputs that met the one before. None if not
     even the smallest share is met.
     """
-    goal = np.asarray(command.lane.effectors.measured)
-    off = np.asarray(first.compliance.state.effectors) - goal
-    # The energy of the actuators is weighed once, at the goals themselves.
-    plain = eqx.tree_at(lambda s: s.epsilon, command.settings, 0.0)
-    arrival, share, piece = first, 0.0, FIRST_PIECE
+    goal = np.asarray(robot.problem.configurations.effectors.measured)[0]
+    off = np.asarray(first.effectors)[0] - goal
+    here, share, piece = first, 0.0, FIRST_PIECE
     while share + piece < 1.0 and piece >= SHORTEST_PIECE:
-        aim = goal + (1.0 - share - piece) * off
-        lane = eqx.tree_at(lambda c: c.effectors.measured, command.lane, aim)
-        aimed = command._replace(lane=lane, settings=plain)
-        descent = descend(aimed, begin(aimed, arrival), explore=True)
+        aimed = robot.towards(goal + (1.0 - share - piece) * off)
+        start = begin(aimed, aimed.weighed(here.z, here.response))
+        descent = continued(start, explore=True)
         if descent.met:
-            arrival, share, piece = descent.arrival, share + piece, 2.0 * piece
+            here, share, piece = descent.here, share + piece, 2.0 * piece
         else:
             piece *= 0.5
     if share == 0.0:
         return None
-    return descend(command, begin(command, arrival), explore=True)
+    there = robot.weighed(here.z, here.response)
+    return continued(begin(robot, there), explore=True)
 
 
-def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_starts n_a"]:
+def _other_starts(first: Descent) -> Float[HostArray, "n_starts n_p"]:
     """Choose inputs that fill what the limits and the reach of a step leave.
 
     They are a Latin hypercube and its middle, those near the start first: if several
     actuations meet the goals, one near the start is preferred to one far from it.
     """
-    n, value = command.settings.other_starts, first.arrival.value
-    low, high = _reach(command, first)
+    settings, z = first.robot.settings, np.asarray(first.state.z)
+    low, high = _reach(first)
     # Here, so that commands which do not need it do not wait for it.
     from scipy.stats.qmc import LatinHypercube
 
-    shares = np.full((n, low.size), 0.5)
-    shares[1:] = LatinHypercube(low.size, rng=0).random(n - 1)
+    shares = np.full((settings.other_starts, low.size), 0.5)
+    shares[1:] = LatinHypercube(low.size, rng=0).random(settings.other_starts - 1)
     starts = low + shares * (high - low)
-    assert first.linear is not None
-    away = np.linalg.norm((starts - value) / first.linear.scale, axis=1)
+    away = np.linalg.norm(starts - z, axis=1)
     # The middle may be the start itself, which needs no second descent.
-    return starts[np.argsort(away)][np.sort(away) > command.settings.step_tol]
+    return starts[np.argsort(away)][np.sort(away) > settings.step_tol]
 
 
-def _reach(command: Command, first: Descent) -> Float[HostArray, "2 n_a"]:
+def _reach(first: Descent) -> Float[HostArray, "2 n_p"]:
     """Return the lowest and highest inputs within limits and the reach of a step."""
-    assert first.linear is not None
-    (lower, upper), value = command.box(), first.arrival.value
-    reach = command.settings.max_step_bound * first.linear.scale
-    return np.stack(
-        [np.maximum(lower, value - reach), np.minimum(upper, value + reach)]
-    )
+    reach, z = first.robot.settings.max_step_bound, np.asarray(first.state.z)
+    return np.clip([z - reach, z + reach], *first.robot.box())
 
 
 def _driven(
-    command: Command, first: Arrival, value: Float[HostArray, " n_a"]
-) -> Arrival | None:
+    robot: Command, first: Evaluation, z: Float[HostArray, " n_p"]
+) -> Evaluation | None:
     """Drive the robot from its start to other inputs; None if it does not get there.
 
     It is driven rather than solved anew, so that it stays on the branch of equilibria
     on which it is commanded.
     """
     for pieces in (1, PIECES):
-        arrival = first
+        here = first
         for left in range(pieces, 0, -1):
-            equilibrium = moved(command, arrival, (value - arrival.value) / left)
-            arrival = differentiated(command, equilibrium)
-            if not arrival.stands:
+            here = robot.moved(here, (z - np.asarray(here.z)) / left)
+            if not here.ok:
                 break
         else:
-            return arrival
+            return here
     return None
 
 
-def _better(command: Command, descent: Descent, than: Descent) -> bool:
+def _better(descent: Descent, than: Descent) -> bool:
     """Compare two ends: kept limits first, then the cost."""
-    for new, old in zip(_parts(command, descent), _parts(command, than), strict=True):
+    for new, old in zip(_parts(descent), _parts(than), strict=True):
         if abs(new - old) > EQUAL * max(new, old):
             return bool(new < old)
-    return descent.met and not than.met
+    return descent.met
 
 
-def _parts(command: Command, descent: Descent) -> Float[HostArray, "2"]:
-    """Compute violated limits and the cost; below the tolerance they tie."""
-    assert descent.linear is not None
-    off = command.residuals(descent.arrival.compliance.state)
-    floor = 10.0 * ROUNDING, 0.5 * command.settings.tol**2
-    return np.maximum(parts(descent.linear.b, off), floor)
+def _parts(descent: Descent) -> Float[HostArray, "2"]:
+    """Return exceeded limits and the cost of errors; below the tolerance they tie."""
+    robot, excess = descent.robot, float(descent.state.recent_excess[0])
+    cost = 0.5 * np.sum(robot.residuals(descent.here) ** 2)
+    floor = 10.0 * OUTSIDE, 0.5 * robot.settings.tol**2
+    return np.maximum([excess, cost], floor)

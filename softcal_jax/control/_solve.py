@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -12,13 +13,11 @@ from softcal_jax import _notebook
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
-from softcal_jax.configurations import (
-    Configuration,
-    configuration_lanes,
-    farthest,
-    motions,
-)
-from softcal_jax.control._goals import Goal, Limits, limit_arrays, with_goals
+from softcal_jax.calibration import Evaluation
+from softcal_jax.configurations import Configuration, farthest, motions
+from softcal_jax.control._command import Command, ControlSettings
+from softcal_jax.control._goals import Goal, Limits, commanded, with_goals
+from softcal_jax.control._inputs import actuator_readings
 from softcal_jax.control._result import (
     OUTCOMES,
     Attempt,
@@ -28,18 +27,13 @@ from softcal_jax.control._result import (
     TrajectoryResult,
     coordinate_names,
 )
-from softcal_jax.control._search import Arrival, ControlWarning, Descent, search
-from softcal_jax.control._step import (
-    FLAT_COSINE,
-    ROUNDING,
-    Command,
-    ControlSettings,
-    Linear,
-    follow_room,
-)
-from softcal_jax.equilibrium import Model, actuator_states
+from softcal_jax.control._search import ControlWarning, Descent, search
+from softcal_jax.equilibrium import Model, Workers, actuator_states
 
 NO_MORE = "the end of its equilibria: a step further on there is none"
+
+HOLDS = 1e-2
+"""Cosine between the errors and what a limit forbids from which it holds them [-]."""
 
 BLIND = 1e-2
 """Singular value of W_ea, relative to the largest, below which a direction is blind.
@@ -94,10 +88,11 @@ def solve_inverse(
             has no equilibrium: then the search goes on from the largest share of its
             inputs that was found to have one.
     """
-    command = _prepare(model, configuration, goals, limits, settings)
-    if guess is None:
-        guess = np.zeros((model.n_points, 3))
-    result = _result(command, *search(command, np.asarray(guess)))
+    rest = np.zeros((model.n_points, 3))
+    with Workers(model, 1) as workers:
+        robot = _prepared(model, configuration, goals, limits, settings, workers)
+        best, attempts = search(robot, rest if guess is None else np.asarray(guess))
+    result = _result(best, attempts)
     if not throw or result.met or result.outcome == OUTCOMES.nearest:
         return result
     why = _notebook.headline_of(result)
@@ -156,71 +151,73 @@ def follow_trajectory(
     return TrajectoryResult(tuple(points))
 
 
-def _prepare(model, configuration, goals, limits, settings) -> Command:
+def _prepared(
+    model: Model,
+    configuration: Configuration,
+    goals: Mapping[str, Goal] | None,
+    limits: Mapping[str, Limits] | None,
+    settings: ControlSettings | None,
+    workers: Workers,
+) -> Command:
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
             f"configuration {configuration.name!r} commands no actuator: name some in "
             f"`actuation`, where they start. Actuators: {known}."
         )
-    settings = settings or ControlSettings()
     if goals is not None:
         configuration = with_goals(configuration, goals)
-    allowed = limit_arrays(model.mechanism, configuration, limits or {})
-    lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
-    far = farthest(motions(lanes.effectors[0]), model.mesh.size)
+    inputs = commanded(model.mechanism, configuration, limits or {})
+    settings = settings or ControlSettings()
+    robot = Command(model, configuration, inputs, settings, workers)
+    far = farthest(motions(robot.records), model.mesh.size)
     if far is not None:
         warnings.warn(f"the goal of {far}", ControlWarning, stacklevel=3)
-    weights = np.asarray(lanes.arrays.effectors.inverse_std)[0]
-    if not weights.any():
-        names = dict.fromkeys(record.name for record in lanes.effectors[0])
+    if not any(record.seen.any() for record in robot.records):
+        names = dict.fromkeys(record.name for record in robot.records)
         raise ValueError(
             f"no effector of configuration {configuration.name!r} has a goal: give "
             "measured values, or `goals` by name. Effectors: "
             f"{', '.join(map(repr, names)) or 'none'}."
         )
-    return Command(
-        model=model,
-        configuration=configuration,
-        lane=lanes.arrays[0],
-        effectors=lanes.effectors[0],
-        limits=allowed,
-        weights=weights,
-        settings=settings,
-    )
+    return robot
 
 
-def _result(
-    command: Command, best: Descent, attempts: tuple[Attempt, ...]
-) -> InverseResult:
-    arrival, linear, _, outcome, records = best
+_readings = eqx.filter_jit(actuator_readings)
+
+
+def _result(best: Descent, attempts: tuple[Attempt, ...]) -> InverseResult:
+    robot, here, outcome = best.robot, best.here, best.outcome
     assert outcome is not None
-    model, state = command.model, arrival.compliance.state
-    inputs = dict(zip(model.mechanism.actuators.names, arrival.value, strict=True))
-    asked = command.configuration.actuation
+    model, solution, lane = robot.problem.model, robot.solution(here), robot.lane(here)
+    state = _readings(model, lane, solution)
+    asked = robot.configuration.actuation
+    inputs = dict(
+        zip(model.mechanism.actuators.names, lane.actuation.value, strict=True)
+    )
     actuation = {a: replace(asked[a], value=float(inputs[a])) for a in asked}
-    reached = np.asarray(state.effectors)
+    reached = np.asarray(here.effectors)[0]
     # Every effector that has a goal is compared with it; frames have two rows.
     goals = tuple(
         GoalFit(replace(effector, simulated=effector.among(reached)))
-        for effector in command.effectors
+        for effector in robot.records
         if effector.seen.any()
     )
-    holding = Holding() if linear is None else what_holds(command, arrival, linear)
-    if best.decision.ended:
+    # Where it was interrupted nothing holds the robot: more steps would have followed.
+    stands = here.ok and outcome != OUTCOMES.interrupted
+    holding = what_holds(robot, here) if stands else Holding()
+    if stands and best.ended:
         holding = holding._replace(held_by=(*holding.held_by, NO_MORE))
     return InverseResult(
         outcome=outcome,
-        configuration=replace(command.configuration, actuation=actuation),
-        solution=arrival.solution,
+        configuration=replace(robot.configuration, actuation=actuation),
+        solution=solution,
         goals=goals,
-        actuators=actuator_states(
-            model, command.lane, state.forces, state.displacements
-        ),
+        actuators=actuator_states(model, lane, state.forces, state.displacements),
         **holding._asdict(),
-        steps=records,
+        steps=best.records,
         attempts=attempts,
-        tol=command.settings.tol,
+        tol=robot.settings.tol,
         model=model,
     )
 
@@ -233,29 +230,25 @@ class Holding(NamedTuple):
     blind: BlindDirection | None = None
 
 
-def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
+def what_holds(robot: Command, end: Evaluation) -> Holding:
     """Split what is left of the errors between limits and blind directions.
 
     At a minimum, the slope W^T r is balanced by the limits that are reached, W^T r +
     A^T mu = 0 with mu >= 0. A limit holds where its mu is positive. What W does not
     reach at all is blind.
     """
-    reached = _reached(command, end, linear)
-    active = tuple(_in_words(command, end, *limit) for limit in reached)
-    off = command.residuals(end.compliance.state)
-    if np.abs(off).max() <= command.settings.tol:
+    reached = robot.reached(end)
+    active = tuple(_in_words(robot, *limit) for limit, _ in reached)
+    off = robot.residuals(end)
+    if np.abs(off).max() <= robot.settings.tol:
         return Holding(active)
-    moves = linear.upper > linear.lower
-    W, r = linear.W * moves, linear.error
-    unit = np.eye(len(moves))
-    # Gradients by y: at a limit that is reached, gradient @ y must not be positive.
-    gradients = np.concatenate([-unit, unit, linear.A]).reshape(4, *unit.shape)
-    A = np.array([gradients[limit] for limit in reached])
-    A = A.reshape(-1, len(moves)) * moves
+    r, W = map(np.asarray, end.rows)
+    # Gradients by z: at a limit that is reached, gradient @ z must not be positive.
+    A = np.array([gradient for _, gradient in reached]).reshape(-1, W.shape[1])
     return Holding(
         active_limits=active,
         held_by=tuple(active[i] for i in strongest_limits(W, r, A)),
-        blind=_blind(command, W[: len(off)], off),
+        blind=_blind(robot, W[: len(off)], off),
     )
 
 
@@ -276,21 +269,21 @@ def strongest_limits(
     # The step that each limit forbids: the cosine between the errors and its effect.
     effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
     cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
-    return [int(i) for i in np.argsort(-cosine) if cosine[i] > FLAT_COSINE]
+    return [int(i) for i in np.argsort(-cosine) if cosine[i] > HOLDS]
 
 
 def _blind(
-    command: Command, W: Float[HostArray, "n_e n_a"], off: Float[HostArray, " n_e"]
+    robot: Command, W: Float[HostArray, "n_e n_a"], off: Float[HostArray, " n_e"]
 ) -> BlindDirection | None:
     """Find the share of the errors in directions that W hardly reaches."""
     U, sizes, _ = np.linalg.svd(W, full_matrices=False)
     seen = U[:, sizes > BLIND * sizes[0]]
     share = off - seen @ (seen.T @ off)
-    if np.abs(share).max() <= command.settings.tol:
+    if np.abs(share).max() <= robot.settings.tol:
         return None
     direction = share / np.linalg.norm(share)
     gain = np.linalg.norm(direction @ W) / sizes[0] if sizes[0] > 0.0 else 0.0
-    weights = command.weights
+    weights = np.asarray(robot.problem.configurations.effectors.inverse_std)[0]
     std = 1.0 / np.where(weights > 0.0, weights, np.inf)
     rows, shares = direction.reshape(std.shape), share.reshape(std.shape) * std
     parts = [
@@ -300,7 +293,7 @@ def _blind(
             rows[entry],
             shares[entry],
         )
-        for record in command.effectors
+        for record in robot.records
         for k, name in enumerate(coordinate_names(record))
         if record.seen[k] and (entry := (record.index, k))
     ]
@@ -314,30 +307,16 @@ def _blind(
     )
 
 
-def _reached(command: Command, end: Arrival, linear: Linear) -> list[tuple[int, int]]:
-    """List the limits that are reached by kind and actuator, actuator by actuator.
-
-    Kinds 0 to 3: lower and upper limit of the input, then of the quantity that follows.
-    """
-    lower, upper = command.box()
-    of_inputs = [end.value - lower, upper - end.value] / linear.scale
-    of_others = follow_room(command, end.compliance.state, linear.length)
-    room = np.concatenate([of_inputs, of_others.reshape(2, -1)])
-    active = (room <= 10.0 * ROUNDING) & (upper > lower)
-    return [(int(kind), int(a)) for a, kind in np.argwhere(active.T)]
-
-
-def _in_words(command: Command, end: Arrival, kind: int, a: int) -> str:
-    of_input, side = kind < 2, ("lower", "upper")[kind % 2]
-    by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
-    actuators = command.model.mechanism.actuators
-    of_kind, name = actuators.kinds[a], actuators.names[a]
-    moves = by_displacement == of_input
+def _in_words(robot: Command, k: int, kind: int) -> str:
+    """Say which limit of an input, or of what follows it, is reached."""
+    of_input, side, one = kind < 2, ("lower", "upper")[kind % 2], robot.inputs[k]
+    actuators = robot.problem.model.mechanism.actuators
+    of_kind, name = actuators.kinds[one.a], actuators.names[one.a]
+    moves = one.by_displacement == of_input
     what = "displacement" if moves else of_kind.force
     unit = of_kind.displacement_unit if moves else of_kind.force_unit
-    limits = np.concatenate([command.box(), command.limits.following])
-    value = readable_values([float(limits[kind, a])], unit or "")
-    step = command.limits.step[a] * (1.0 - 1e-12)
-    if of_input and np.abs(end.value[a] - command.start[a]) >= step:
+    limit = (*one.box, *one.following)[kind]
+    if of_input and abs(limit - one.start) >= one.step * (1.0 - 1e-12):
         what, side = f"step of the {what}", "longest"
+    value = readable_values([limit], unit or "")
     return f"{what} of {of_kind.noun} {name!r} at its {side} limit, {value}"

@@ -9,11 +9,10 @@ from softcal_jax._text import check_known, listed
 from softcal_jax._units import readable
 from softcal_jax.configurations import (
     Configuration,
-    ImposedDisplacement,
     configuration_lanes,
     motions,
 )
-from softcal_jax.control import Limits, limit_arrays
+from softcal_jax.control import Limits, commanded
 from softcal_jax.designs._foam import FoamTable, foam_region, isotropic_range
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import (
@@ -36,38 +35,33 @@ def commands(
     used = [name for goal in goals for name in goal.actuation]
     check_known("actuator with limits, in the actuation of a goal,", used, *limits)
     actuators, entries = model.mechanism.actuators, []
-    in_each = [
-        limit_arrays(
-            model.mechanism,
-            goal,
-            {name: given for name, given in limits.items() if name in goal.actuation},
-        )
-        for goal in goals
-    ]
+    in_each = []
+    for goal in goals:
+        own = {name: given for name, given in limits.items() if name in goal.actuation}
+        inputs = commanded(model.mechanism, goal, own)
+        in_each.append(dict(zip(goal.actuation, inputs, strict=True)))
     for name in limits:
         a = actuators.names.index(name)
         kind, start, ends, unit = actuators.kinds[a], {}, {}, ""
-        for goal, allowed in zip(goals, in_each, strict=True):
-            if name not in goal.actuation:
+        for goal, inputs in zip(goals, in_each, strict=True):
+            if name not in inputs:
                 continue
-            imposed = goal.actuation[name]
-            by_displacement = isinstance(imposed, ImposedDisplacement)
-            unit = kind.displacement_unit if by_displacement else kind.force_unit
-            low, high = map(float, allowed.inputs[:, a])
+            one, (low, high) = inputs[name], inputs[name].imposed
+            unit = kind.displacement_unit if one.by_displacement else kind.force_unit
             if not np.isfinite([low, high]).all() or low >= high:
-                what = "displacement" if by_displacement else "force"
+                what = "displacement" if one.by_displacement else "force"
                 raise ValueError(
                     f"limits of the {what} of {kind.noun} {name!r} are {low:g} to "
                     f"{high:g} {unit}, and a design needs two finite ends that differ."
                 )
-            other = "force" if by_displacement else "displacement"
+            other = "force" if one.by_displacement else "displacement"
             if np.isfinite([*getattr(limits[name], other), limits[name].step]).any():
                 raise ValueError(
                     f"{kind.noun} {name!r}: a design limits what is imposed on it, not "
                     f"its {other} or its steps: leave those limits out, or impose the "
                     "quantity that has limits."
                 )
-            start[goal.name], ends[goal.name] = imposed.value, (low, high)
+            start[goal.name], ends[goal.name] = one.start, (low, high)
         entries.append(command(name, start, ends, unit=unit or ""))
     return tuple(entries)
 

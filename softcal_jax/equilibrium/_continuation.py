@@ -181,6 +181,10 @@ def _between(
     return jax.device_put(jax.tree.map(blend, a, b))
 
 
+FORESEEN = 0.25
+"""Largest distance of a held node from where the guess moved it, over the largest
+motion of the guess, which turns bodies along straight lines [-]."""
+
 MAX_QUICK_STEPS = 5  # full Newton steps after which the guess counts as bad
 
 CHORDS_FROM = 1e-3
@@ -321,13 +325,14 @@ class _QuickSteps(NamedTuple):
         held = posed.held_at(rigid)
         point = evaluate(self.posed, held)
         usable = point.finite & (point.min_det_F > 0.0)
-        # After a moved support, only the careful solve is safe.
-        usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
         lambda_a = estimated_forces(posed, point)
         no, count = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
         size = self.residual(point, lambda_a)
         # Along straight lines, as the guess was extrapolated.
         du = jnp.zeros_like(guess) if before is None else guess - before
+        # After a support that the guess did not move, only the careful solve is safe.
+        gap = jnp.max(jnp.abs(posed.motion(rigid, held)))
+        usable = usable & (gap <= FORESEEN * jnp.max(jnp.abs(du)))
         still = ~jnp.any(du != 0.0)
         strains, exact = no_strains(self.model), (size <= NEAR) | still
         return _Quick(

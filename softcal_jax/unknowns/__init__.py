@@ -15,7 +15,10 @@ from softcal_jax.unknowns._noise import (
     noise_columns as noise_columns,
     read_once as read_once,
 )
-from softcal_jax.unknowns._problem import Problem as Problem
+from softcal_jax.unknowns._problem import (
+    Problem as Problem,
+    ReadingLimits as ReadingLimits,
+)
 from softcal_jax.unknowns._unknowns import (
     FIRST_SHARE as FIRST_SHARE,
     MESH as MESH,

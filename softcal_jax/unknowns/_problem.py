@@ -5,6 +5,7 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
@@ -19,6 +20,20 @@ from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ParameterSpace, Uncertain, exactly_known
 from softcal_jax.inference import Whitened, whitened_rows
 from softcal_jax.unknowns._noise import CorrelatedNoise
+
+
+class ReadingLimits(Module):
+    """Limits that a step keeps of some effector coordinates.
+
+    Attributes:
+        index: Their places among all coordinates of all poses.
+        lower: Smallest values, in their units.
+        upper: Largest values.
+    """
+
+    index: tuple[int, ...] = eqx.field(static=True, converter=tuple)
+    lower: Float[Array | HostArray, " n"]
+    upper: Float[Array | HostArray, " n"]
 
 
 class Problem(Module):
@@ -39,6 +54,7 @@ class Problem(Module):
             the standard deviations of the effectors.
         deviations: With these each pose is of a specimen of its own, whose scaled
             parameters are z plus its row [-].
+        limits: Limits of readings that steps keep, beside those of the parameters.
     """
 
     model: Model
@@ -50,6 +66,7 @@ class Problem(Module):
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
     noise: CorrelatedNoise | None = None
     deviations: Float[Array, "n_c n_p"] | None = None
+    limits: ReadingLimits | None = None
 
     @property
     def configurations(self) -> ConfigurationArrays:
@@ -113,6 +130,23 @@ class Problem(Module):
             from_prior=jnp.asarray(self.level) * distances,
             prior_rows=jnp.asarray(self.level) * prior,
         )
+
+    def excess(
+        self,
+        effectors: Float[Array, "n_c n_rows 3"],
+        compliance: Float[Array, "n_e n_p"],
+    ) -> Whitened | None:
+        """Return how far readings exceed their limits, and the derivatives of that.
+
+        First those below the smallest values, then those above the largest; negative
+        within the limits, and in units of the readings.
+        """
+        if self.limits is None:
+            return None
+        where = np.array(self.limits.index)
+        values, W = jnp.ravel(effectors)[where], compliance[where]
+        beyond = self.limits.lower - values, values - self.limits.upper
+        return Whitened(jnp.concatenate(beyond), jnp.concatenate([-W, W]))
 
     @property
     def level(self) -> Float[Array | HostArray, ""] | float:

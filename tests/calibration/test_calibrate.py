@@ -296,7 +296,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
     evaluation = evaluate(problem, z)
-    state = initial_state(settings, z, evaluation)
+    state = initial_state(settings, evaluation)
     failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
     for _ in range(12):
         proposal = propose(problem.space, settings, state)
@@ -314,7 +314,7 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     problem = build_problem(model, parameter(), exact)
     z = problem.space.start()
     evaluation = evaluate(problem, z)
-    state = initial_state(settings, z, evaluation)
+    state = initial_state(settings, evaluation)
     held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7, float))
     proposal = propose(problem.space, settings, held)
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol

@@ -231,7 +231,7 @@ def test_which_runs_lead_to_a_known_optimum(measured, plain):
 
     def at(z):
         now = evaluate(measured.problem, jnp.asarray(z))
-        return initial_state(FROM_ANYWHERE, jnp.asarray(z), now)
+        return initial_state(FROM_ANYWHERE, now)
 
     near = best.z + 1e-3 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     assert leads_to(space, at(near), best)

@@ -72,14 +72,15 @@ def random_state(problem, evaluation, seed, settings=None):
     z = space.admissible(jnp.asarray(z))
     n_e, n_p = evaluation.rows.W.shape
     evaluation = eqx.tree_at(
-        lambda e: (e.rows.W, e.rows.error),
+        lambda e: (e.z, e.rows.W, e.rows.error),
         evaluation,
         (
+            z,
             jnp.asarray(random.normal(size=(n_e, n_p))),
             jnp.asarray(10.0 ** random.uniform(-2, 1) * random.normal(size=n_e)),
         ),
     )
-    return initial_state(settings or CalibrationSettings(step_bound=1.0), z, evaluation)
+    return initial_state(settings or CalibrationSettings(step_bound=1.0), evaluation)
 
 
 def test_tensor_step_keeps_bounds_and_order(problem, evaluation):
@@ -120,7 +121,7 @@ def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evalua
 
 def test_guess_follows_the_tangents_of_the_parameters(problem, evaluation):
     """A warm start to first order: u + du/dz dz, with dz from the tensor."""
-    state = initial_state(CalibrationSettings(), problem.space.start(), evaluation)
+    state = initial_state(CalibrationSettings(), evaluation)
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5, float))
     proposal = propose(problem.space, CalibrationSettings(), state)
     dz = proposal.z - state.z
@@ -225,7 +226,8 @@ def test_paper_mode_takes_a_step_that_makes_the_fit_worse(problem, evaluation):
         settings = CalibrationSettings(adapt=adapt)
         state = random_state(problem, evaluation, 0, settings)
         proposal = propose(problem.space, settings, state)
-        after = decide(problem.space, settings, state, proposal, worse)
+        there = eqx.tree_at(lambda e: e.z, worse, proposal.z)
+        after = decide(problem.space, settings, state, proposal, there)
         assert bool(after.accepted) is not adapt
         if adapt:
             size = float(jnp.max(jnp.abs(proposal.qp.lambda_p)))
@@ -245,9 +247,7 @@ def costing(evaluation, cost):
 def after_costs(problem, evaluation, costs):
     """State after steps that were kept, with these costs."""
     settings = CalibrationSettings()
-    state = initial_state(
-        settings, problem.space.start(), costing(evaluation, costs[0])
-    )
+    state = initial_state(settings, costing(evaluation, costs[0]))
     for cost in costs[1:]:
         state = tried(problem, state, cost)
         assert bool(state.accepted)
@@ -306,7 +306,7 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
 ):
     """However long it is, if it also costs next to nothing: 1e-8 of the cost."""
     settings = CalibrationSettings(adapt=adapt)
-    state = initial_state(settings, problem.space.start(), evaluation)
+    state = initial_state(settings, evaluation)
     W = np.asarray(evaluation.rows.W)
     left, _, _ = np.linalg.svd(W)
     # Half of the square of an error that no parameter reaches, and of the weakest one.
@@ -331,7 +331,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     z = problem.space.to_scaled(target)
     there = evaluate(problem, z)
     settings = CalibrationSettings()
-    state = initial_state(settings, z, there)
+    state = initial_state(settings, there)
     proposal = propose(problem.space, settings, state)
     assert bool(proposal.vanishes)
     np.testing.assert_array_equal(proposal.z, z)
@@ -342,7 +342,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     np.testing.assert_array_equal(after.z, z)
     # Nor is one that only the bound on the step holds short.
     away = evaluate(problem, problem.space.start())
-    state = initial_state(settings, problem.space.start(), away)
+    state = initial_state(settings, away)
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8, float))
     assert not bool(propose(problem.space, settings, state).vanishes)
 
@@ -370,7 +370,7 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
         warn_if_too_few_data(problem)
     settings = CalibrationSettings()
     z = problem.space.start()
-    state = initial_state(settings, z, evaluate(problem, z))
+    state = initial_state(settings, evaluate(problem, z))
     first = float(state.evaluation.cost)
     while not (state.converged or state.stalled) and state.step < 30:
         proposal = propose(problem.space, settings, state)
@@ -415,7 +415,7 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(quadratic):
         (effectors.measured + noise, np.full_like(effectors.inverse_std, 1e3)),
     )
     settings, z = CalibrationSettings(), problem.space.start()
-    begin = initial_state(settings, z, evaluate(noisy, z))
+    begin = initial_state(settings, evaluate(noisy, z))
     ends = []
     for learns in (True, False):
         state = begin

@@ -6,6 +6,7 @@ positive angle lifts the tip; the cables run above and below it, from base to ti
 
 from functools import cache
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
@@ -24,7 +25,7 @@ from softcal_jax.configurations import (
     ImposedForce,
     configuration_arrays,
 )
-from softcal_jax.control import _search, with_inputs
+from softcal_jax.control import actuator_readings, with_inputs
 from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
@@ -34,6 +35,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
+_readings = eqx.filter_jit(actuator_readings)
 LENGTH, SIDE = 0.1, 0.02
 TIGHT = NewtonSettings(rtol=1e-12)
 REST = (0.0, 0.0, 0.0)
@@ -93,7 +95,7 @@ def solved(model, configuration, value):
     """Equilibrium for one actuation and what follows, by the programs of the search."""
     lane = with_inputs(configuration, jnp.asarray(value))
     solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, _search._readings(model, lane, solution)
+    return solution, _readings(model, lane, solution)
 
 
 def tips(configuration: Configuration, inputs):

@@ -1,5 +1,7 @@
 """W_ea and W_aa: differences of solves, duality, and one factorization for all."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,9 +10,15 @@ import pytest
 from arm import EFFECTORS, REST, arm, arrays, pose, solved
 
 from softcal_jax.configurations import ImposedDisplacement, ImposedForce
-from softcal_jax.control import ControlSettings, actuator_compliance, with_inputs
-from softcal_jax.control._solve import _prepare
-from softcal_jax.control._step import linearise
+from softcal_jax.control import (
+    ControlSettings,
+    actuator_compliance,
+    commanded,
+    with_goals,
+    with_inputs,
+)
+from softcal_jax.control._command import Command
+from softcal_jax.equilibrium import Workers
 
 DRIVES = {
     "tensions and an angle": {"top": 1.0, "bottom": 0.4, "motor": 0.3},
@@ -167,21 +175,30 @@ def test_no_equilibrium_no_derivative():
     assert np.all(np.isnan(response.W_ea[:9]))
 
 
-def test_energy_of_a_robot_that_its_motors_hold():
+@pytest.mark.parametrize("sign", [1.0, -1.0, 0.0])
+def test_energy_of_a_robot_that_its_motors_hold(sign):
     """W_aa without a positive eigenvalue: sizes count, and nothing is divided by 0."""
-    _, _, response = driven_by("tensions and an angle")
-    start = pose(HANGING, effectors=EFFECTORS, **DRIVES["tensions and an angle"])
-    settings = ControlSettings(epsilon=1e-3)
-    goals = {"tip": (0.1, 0.01, 0.02)}
-    command = _prepare(arm(), start, goals, None, settings)
-    held = eqx.tree_at(lambda r: r.W_aa, response, -response.W_aa)
-    for compliance_found in (response, held):
-        linear = linearise(command, command.start, compliance_found)
-        energy = linear.energy.T @ linear.energy
-        share = energy / response.W_aa
-        np.testing.assert_allclose(share, share[0, 0], rtol=1e-6)
-        assert share[0, 0] > 0.0
-    nothing = eqx.tree_at(lambda r: r.W_aa, response, jnp.zeros((3, 3)))
-    for epsilon in (0.0, 1e-3):
-        silent = command._replace(settings=ControlSettings(epsilon=epsilon))
-        assert np.all(np.isfinite(linearise(silent, command.start, nothing).W))
+    cables = {"top": 1.0, "bottom": 0.4}
+    start = with_goals(
+        pose(HANGING, effectors=EFFECTORS, **cables), {"tip": (0.1, 0.01, 0.02)}
+    )
+    configuration = arrays(start)
+    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    # Of the cables alone: the motor is held, and not commanded.
+    of_all = actuator_compliance(arm(), configuration, solution)
+    W_aa = np.asarray(of_all.by_displacement)[:2, :2]
+    inputs, settings = commanded(arm().mechanism, start, {}), ControlSettings()
+    settings = replace(settings, epsilon=1e-3)
+    with Workers(arm(), 1) as workers:
+        robot = Command(arm(), start, inputs, settings, workers)
+        begin, u = robot.problem.space.start(), solution.displacement[None]
+        here = robot(begin, u, precise=True)
+        follow = [3 * row for row in robot._follow]
+        W = here.response.W_ep.at[:, np.array(follow)].multiply(sign)
+        here = eqx.tree_at(lambda e: e.response.W_ep, here, W)
+        robot, here = robot.weighing_energy(here)
+    assert np.all(np.isfinite(here.rows.W))
+    energy = robot.energy.T @ robot.energy
+    share = energy / W_aa
+    np.testing.assert_allclose(share, share[0, 0], rtol=1e-6)
+    assert (share[0, 0] > 0.0) == (sign != 0.0)

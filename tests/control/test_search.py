@@ -11,6 +11,7 @@ from arm import EFFECTORS, LENGTH, REST, SIDE, TIGHT, arm, check_only, pose, tip
 from wording import says
 
 from softcal_jax.actuators import Cable, Guide
+from softcal_jax.calibration import _runs
 from softcal_jax.configurations import (
     Centroid,
     Configuration,
@@ -82,14 +83,14 @@ def test_a_goal_far_away_is_found_to_be_so_early(monkeypatch):
 
 def interrupted_at(monkeypatch, step):
     """From the step of this number on, of all descents, Ctrl-C is pressed in one."""
-    count, decide = iter(range(1, 1000)), _search.decide
+    count, decide = iter(range(1, 1000)), _runs.decide
 
     def decided(*args):
         if next(count) == step:
             signal.raise_signal(signal.SIGINT)
         return decide(*args)
 
-    monkeypatch.setattr(_search, "decide", decided)
+    monkeypatch.setattr(_runs, "decide", decided)
 
 
 def behind_a_fold():

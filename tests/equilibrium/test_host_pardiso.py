@@ -167,7 +167,7 @@ def test_what_is_around_the_solver_lowers_for_cuda(calibration):
         of_all = problem.model, problem.space, problem.newton, z
         lane = lambda c, u: equilibrium_response(*of_all, c, u)
         lanes = jax.vmap(lane)(problem.configurations, guess)
-        state = initial_state(settings, z, weighed(problem, z, lanes))
+        state = initial_state(settings, weighed(problem, z, lanes))
         return propose(problem.space, settings, state).z
 
     z, n_c = problem.space.start(), len(problem.configurations)
