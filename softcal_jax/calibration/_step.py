@@ -107,12 +107,12 @@ class CalibrationState(Module):
     `recent_costs` are those of the last accepted steps, the latest first, and
     `recent_excess` how far readings exceeded their limits there, which weighs `penalty`
     beside the cost. `lambda_p` is the last QP step, with its residual, whether the
-    polish had to end it, whether it was accepted, and whether it was `lost`, without an
-    equilibrium. It has `converged` where lambda_p has vanished, not shortened by
-    the step bound, where `MEMORY` steps gained nothing, or steps were refused at a
-    minimum, and has `stalled` where they were refused until the bound was below `tol`,
-    away from a minimum. `least_fall` is the relative fall of the cost that is worth a
-    step.
+    polish had to end it, whether it was accepted, whether it was `lost`, without an
+    equilibrium, and the iterations that this took. It has `converged` where lambda_p
+    has vanished, not shortened by the step bound, where `MEMORY` steps gained nothing,
+    or steps were refused at a minimum, and has `stalled` where they were refused until
+    the bound was below `tol`, away from a minimum. `least_fall` is the relative fall of
+    the cost that is worth a step.
     """
 
     evaluation: Evaluation
@@ -126,6 +126,7 @@ class CalibrationState(Module):
     by_polish: Bool[Array, ""]
     accepted: Bool[Array, ""]
     lost: Bool[Array, ""]
+    newton_steps: Int[Array, " n_c"]
     step: Int[Array, ""]
     converged: Bool[Array, ""]
     stalled: Bool[Array, ""]
@@ -161,6 +162,7 @@ def initial_state(
         "by_polish": no,
         "accepted": ~no,
         "lost": no,
+        "newton_steps": np.asarray(evaluation.equilibrium.steps),
         "step": np.zeros((), np.int32),
         "converged": no,
         "stalled": no,
@@ -183,7 +185,7 @@ def _excess(now: Evaluation, of: Evaluation) -> Float[Array | HostArray, ""]:
         return numpy_of(of.cost).zeros(())
     xp = numpy_of(of.excess.error)
     beyond = xp.maximum(xp.asarray(of.excess.error), 0.0)
-    return xp.asarray(xp.maximum(xp.sum(beyond / _lengths(now)), OUTSIDE))
+    return xp.asarray(xp.sum(beyond / _lengths(now)))
 
 
 class Proposal(Module):
@@ -284,7 +286,6 @@ def _proposal(
     if now.excess is not None:
         beyond = now.excess.error + now.excess.W @ (J @ qp.lambda_p)
         after = jnp.sum(jnp.maximum(beyond, 0.0) / _lengths(now))
-        after = jnp.maximum(after, OUTSIDE)
     guess = before = now.equilibrium.displacement
     if now.response.displacement is not None:
         dz = J @ qp.lambda_p
@@ -368,7 +369,7 @@ def _small(
 
 def _keeps(excess: Float[Array, ""]) -> Bool[Array, ""]:
     """Return whether readings are within their limits, up to rounding."""
-    return excess <= 10.0 * OUTSIDE
+    return excess <= OUTSIDE
 
 
 def _is_at_bound(
@@ -400,8 +401,9 @@ def decide(
     if now.excess is not None:
         inwards = state.recent_excess[0] - proposal.excess
         needed = 2.0 * (proposal.cost - now.cost) / inwards
-        penalty = jnp.where(inwards > 0.0, jnp.maximum(penalty, needed), penalty)
-    merit = lambda cost, excess: cost + penalty * excess
+        penalty = jnp.where(inwards > OUTSIDE, jnp.maximum(penalty, needed), penalty)
+    # What is exceeded by rounding is not worth a higher cost.
+    merit = lambda cost, excess: cost + penalty * jnp.maximum(excess - OUTSIDE, 0.0)
     recent_merits = merit(state.recent_costs, state.recent_excess)
     predicted = recent_merits[0] - merit(proposal.cost, proposal.excess)
     reached = merit(tried.cost, _excess(now, tried))
@@ -444,6 +446,7 @@ def decide(
         by_polish=proposal.qp.by_polish,
         accepted=accepted,
         lost=~tried.ok,
+        newton_steps=tried.equilibrium.steps,
         step=state.step + 1,
         converged=vanished | idle | (collapsed & flat),
         stalled=collapsed & ~flat,
@@ -462,9 +465,12 @@ def _after(
     W_now = now.rows.W @ _step_coordinates(space, state.z)
     W_tried = tried.rows.W @ _step_coordinates(space, tried.z)
     error = jnp.where(tried.cost <= now.cost, tried.rows.error, now.rows.error)
+    step = proposal.qp.lambda_p
+    if now.excess is not None and space.chart is None:
+        step = space.shorter(tried.z - now.z)  # it may have been wound up on the way
     new = learned(
         state.curvature,
-        step=proposal.qp.lambda_p,
+        step=step,
         change=jnp.asarray(W_tried - W_now).T @ error,
         before=now.cost,
         after=tried.cost,

@@ -1,6 +1,7 @@
 """Inverse control: find the actuation for goals of the effectors (paper Eqs. 4 to 6).
 
-The search is compiled once for all goals and all models of the same shapes.
+The search is compiled once for all goals and limits of the same actuators, and all
+models of the same shapes.
 """
 
 from softcal_jax.control._command import ControlSettings as ControlSettings

@@ -49,8 +49,8 @@ class ControlSettings(Module):
     Attributes:
         tol: Error of every effector coordinate at which a goal is met, in units of its
             standard deviation [-].
-        step_tol: Step of the inputs at which the search ends, as the largest
-            displacement of a node, relative to the size of the robot [-].
+        step_tol: Step of the inputs at which the search ends, as the displacement of a
+            node that it causes at the start, relative to the size of the robot [-].
         max_steps: Number of steps after which the search gives up.
         step_bound: First bound on the step of every input, measured as `step_tol` [-].
         max_step_bound: Largest value of that bound [-].
@@ -75,8 +75,11 @@ class ControlSettings(Module):
 
     def __check_init__(self):
         for name in ("tol", "step_tol", "step_bound", "max_step_bound"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+            value, most = getattr(self, name), 1.0 if name == "step_tol" else np.inf
+            if not value > 0.0:
+                raise ValueError(f"{name} must be positive, got {value}.")
+            if not value < most:
+                raise ValueError(f"{name} must be below {most:g}, got {value}.")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
         for name in ("other_starts", "epsilon"):
@@ -99,16 +102,19 @@ class ControlSettings(Module):
 class Command(Evaluator):
     """A robot that is commanded: `z` are its inputs, scaled by the motion they cause.
 
-    A unit of z moves some node by the size of the robot, which makes inputs of
-    different units comparable. Goals are the measured values of its one pose. Where it
-    is evaluated, slack cables are wound up until they are just taut: that changes no
-    equilibrium, but a slack cable has no effect and so no derivative.
+    A unit of z moves some node by the size of the robot at the start, which makes
+    inputs of different units comparable. Goals are the measured values of its one pose.
+    Where it is evaluated, slack cables are wound up until they are just taut: that
+    changes no equilibrium, but a slack cable has no effect and so no derivative.
 
     Attributes:
         configuration: As the user gave it; its actuation is where the command starts.
         settings: Settings of the search.
         records: Records of its effectors.
         inputs: The actuators that are commanded.
+        free: Indices of those that have room, whose values are z.
+        scale: Inputs per unit of z, each in its unit.
+        box: Lowest and highest scaled inputs, limits on steps included.
         energy: Matrix from their forces to the rows of their energy; 0 without.
     """
 
@@ -126,89 +132,86 @@ class Command(Evaluator):
             ValueError: If the limits leave no actuator any room.
         """
         self.configuration, self.settings = configuration, settings
-        self.inputs = [i for i in inputs if i.box[0] < i.box[1]]
-        if not self.inputs:
+        self.inputs = [*inputs]
+        self.free = [k for k, i in enumerate(inputs) if i.box[0] < i.box[1]]
+        if not self.free:
             raise ValueError(
                 f"the limits of configuration {configuration.name!r} leave no actuator "
                 "any room: widen them, or simulate the configuration."
             )
-        follow, lengths = zip(*(_readings(model, i) for i in self.inputs), strict=True)
+        follow, lengths = zip(*(_readings(model, i) for i in inputs), strict=True)
         own = {reading.name: reading for reading in (*follow, *lengths) if reading}
         whole = (*configuration.effectors, *own.values())
-        posed = [replace(configuration, effectors=whole)]
-        lanes = configuration_lanes(model.mesh, posed, model.mechanism)
-        self.records = [r for r in lanes.effectors[0] if r.name not in own]
+        read = [replace(configuration, effectors=whole)]
+        lanes = configuration_lanes(model.mesh, read, model.mechanism)
         rows = {record.name: record.index for record in lanes.effectors[0]}
-        row = lambda reading: None if reading is None else rows[reading.name]
-        self._follow, self._lengths = [*map(row, follow)], [*map(row, lengths)]
-        self.energy = np.zeros((len(self.inputs), len(self.inputs)))
-        super().__init__(
-            Problem(
-                model,
-                _space(model, self.inputs, np.ones(len(self.inputs))),
-                lanes,
-                [configuration],
-                newton=settings.newton,
-                limits=self._limits(),
-            ),
-            workers,
-        )
+        self.records = [r for r in lanes.effectors[0] if r.name not in own]
+        self._follow = [rows[reading.name] for reading in follow]
+        self._lengths = [None if r is None else rows[r.name] for r in lengths]
+        n = len(self.free)
+        self.energy, self.scale = np.zeros((n, n)), np.ones(n)
+        ends = np.array([i.following for i in inputs]).T
+        limits = ReadingLimits([3 * row for row in self._follow], *ends)
+        about = {"newton": settings.newton, "limits": limits}
+        posed = Problem(model, self._space(model), lanes, [configuration], **about)
+        self._pose(posed, workers)
 
-    def _limits(self) -> ReadingLimits | None:
-        each = zip(self._follow, self.inputs, strict=True)
-        limited = [(3 * row, i.following) for row, i in each if row is not None]
-        if not limited:
-            return None
-        index, ends = zip(*limited, strict=True)
-        return ReadingLimits(index, *np.array(ends).T)
+    def _pose(self, problem: Problem, workers: Workers) -> None:
+        super().__init__(problem, workers)
+        ends = problem.space.lower(), problem.space.upper()
+        self.box = np.stack([*map(np.asarray, ends)])
 
-    def _with(self, problem: Problem) -> "Command":
-        other = copy(self)
-        Evaluator.__init__(other, problem, self.workers)
-        return other
+    def _space(self, model: Model) -> ParameterSpace:
+        """Make inputs parameters, with the value of a unit step of each."""
+        entries = []
+        for i, S in zip(self._free(), self.scale.tolist(), strict=True):
+            name, (low, high) = model.mechanism.actuators.names[i.a], i.box
+            far = FAR * max(S, abs(i.start))
+            ends = max(low, i.start - far), min(high, i.start + far)
+            value = Parameter(name, "", i.start, *ends, scale="linear", S=S)
+            entries.append(SetupParameter("command", name, [value]))
+        return ParameterSpace(entries)
+
+    def _free(self) -> list[Input]:
+        return [self.inputs[k] for k in self.free]
 
     def by_motion(self, here: Evaluation) -> tuple["Command", Evaluation]:
         """Scale the inputs by the motion that they cause at an equilibrium."""
-        mechanism, response = self.problem.model.mechanism, here.response
-        size = np.ptp(mechanism.points, axis=0).max()
+        model, response, other = self.problem.model, here.response, copy(self)
+        size = np.ptp(model.mechanism.points, axis=0).max()
         assert response.displacement is not None
         motion, W = map(np.asarray, (response.displacement, response.W_ep))
         moved = np.abs(motion[0]).max(axis=(1, 2)) / self.scale
-        S = size / np.where(moved > 0.0, moved, size)
-        space = _space(self.problem.model, self.inputs, S)
-        other, ratio = self._with(replace(self.problem, space=space)), S / self.scale
+        other.scale = size / np.where(moved > 0.0, moved, size)
+        other._pose(replace(self.problem, space=other._space(model)), self.workers)
+        ratio = other.scale / self.scale
         by_input = W * ratio, motion * ratio[:, None, None]
         z, W, motion = jax.device_put((np.asarray(here.z) / ratio, *by_input))
         return other, other.weighed(z, response._replace(W_ep=W, displacement=motion))
 
     def towards(self, goal: Float[HostArray, "n_rows 3"]) -> "Command":
         """Return the same command with other goals, and without the energy."""
-        where = lambda problem: problem.lanes.arrays.effectors.measured
-        other = self._with(eqx.tree_at(where, self.problem, goal[None]))
+        where, other = (
+            lambda problem: problem.lanes.arrays.effectors.measured,
+            copy(self),
+        )
+        other._pose(eqx.tree_at(where, self.problem, goal[None]), self.workers)
         other.settings = eqx.tree_at(lambda s: s.epsilon, self.settings, 0.0)
         other.energy = np.zeros_like(self.energy)
         return other
-
-    @property
-    def scale(self) -> Float[HostArray, " n_p"]:
-        """Inputs per unit of z, each in its unit."""
-        return np.array([float(q.unit_step) for q in self.problem.space.parameters])
 
     @property
     def start(self) -> Float[HostArray, " n_p"]:
         """Scaled inputs at which the command starts."""
         return np.asarray(self.problem.space.start())
 
-    def box(self) -> Float[HostArray, "2 n_p"]:
-        """Return the lowest and highest scaled inputs, limits on steps included."""
-        space = self.problem.space
-        return np.stack([np.asarray(space.lower()), np.asarray(space.upper())])
-
     def lane(self, here: Evaluation) -> ConfigurationArrays:
         """Return the configuration with the inputs of an evaluation."""
-        lane = self.problem.configurations[0]
-        value = np.array(lane.actuation.value)
-        value[[i.a for i in self.inputs]] = self.scale * np.asarray(here.z)
+        lane, inputs = self.problem.configurations[0], self._free()
+        value, box = np.array(lane.actuation.value), np.array([i.box for i in inputs])
+        # Scaling back rounds.
+        found = np.clip(self.scale * np.asarray(here.z), *box.T)
+        value[[i.a for i in inputs]] = found
         return with_inputs(lane, jax.device_put(value))
 
     def solution(self, here: Evaluation) -> EquilibriumSolution:
@@ -217,7 +220,9 @@ class Command(Evaluator):
 
     def residuals(self, here: Evaluation) -> Float[HostArray, " n_e"]:
         """Return effector errors in units of std, 0 without a goal [-]."""
-        return np.asarray(here.rows.error)[: here.delta_e.size]
+        goals = self.problem.configurations.effectors
+        weight, goal = map(np.asarray, (goals.inverse_std, goals.measured))
+        return np.ravel(weight * np.where(weight > 0.0, here.effectors - goal, 0.0))
 
     def off(self, here: Evaluation) -> float:
         """Return the largest of them [-]."""
@@ -231,20 +236,18 @@ class Command(Evaluator):
         They are 0 and 1 for the lower and the upper limit of the input, 2 and 3 for
         those of what follows it. A gradient is by z, of unit length.
         """
-        (low, high), unit, z = self.box(), np.eye(len(self.inputs)), np.asarray(here.z)
-        room, gradients = [z - low, high - z], [-unit, unit]
-        if here.excess is not None:
-            excess, slopes = map(np.asarray, here.excess)
-            length = np.linalg.norm(slopes, axis=1)
-            length = np.where(length > 0.0, length, 1.0)
-            where = [k for k, row in enumerate(self._follow) if row is not None]
-            ends = np.split(-excess / length, 2), np.split(slopes / length[:, None], 2)
-            for left, slope in zip(*ends, strict=True):
-                room.append(np.full(len(z), np.inf))
-                gradients.append(np.zeros_like(unit))
-                room[-1][where], gradients[-1][where] = left, slope
-        near = np.argwhere(np.transpose(room) <= 10.0 * OUTSIDE).tolist()
-        return [((k, kind), gradients[kind][k]) for k, kind in near]
+        assert here.excess is not None
+        (low, high), z, n = self.box, np.asarray(here.z), len(self.inputs)
+        unit, ends = np.zeros((n, len(z))), np.full((2, n), np.inf)
+        unit[self.free] = np.eye(len(z))
+        ends[:, self.free] = z - low, high - z
+        excess, slopes = map(np.asarray, here.excess)
+        length = np.linalg.norm(slopes, axis=1)
+        length = np.where(length > 0.0, length, 1.0)
+        room = np.concatenate([ends, np.reshape(-excess / length, (2, n))])
+        gradients = np.concatenate([-unit, unit, slopes / length[:, None]])
+        near = np.argwhere(room.T <= 10.0 * OUTSIDE).tolist()
+        return [((k, kind), gradients[kind * n + k]) for k, kind in near]
 
     def moved(self, base: Evaluation, change: Float[HostArray, " n_p"]) -> Evaluation:
         """Evaluate after a change of scaled inputs, from its prediction."""
@@ -262,7 +265,7 @@ class Command(Evaluator):
         precise: bool | Bool[Array, ""] = False,
     ) -> Evaluation:
         """Evaluate at inputs within their limits, and wind up what is slack there."""
-        z = jax.device_put(np.clip(z, *self.box()))
+        z = jax.device_put(np.clip(z, *self.box))
         here = super().__call__(z, guess, before, precise)
         taut = self._wound(here)
         if taut is None:
@@ -273,13 +276,14 @@ class Command(Evaluator):
         """Return inputs with slack cables just taut; None if none is slack."""
         if not bool(here.equilibrium.converged[0]):
             return None
-        z, before, (_, upper) = np.array(here.z), here.z, self.box()
+        z, before, (_, upper) = np.array(here.z), here.z, self.box
         read = np.asarray(here.effectors)[0, :, 0]
-        for k, row in enumerate(self._lengths):
+        for n, k in enumerate(self.free):
+            row = self._lengths[k]
             if row is not None:
-                length, force = read[row] / self.scale[k], read[self._follow[k]]
-                if force <= 0.0 and length >= z[k]:
-                    z[k] = min(length + JUST_TAUT, upper[k])
+                length, force = read[row] / self.scale[n], read[self._follow[k]]
+                if force <= 0.0 and length >= z[n]:
+                    z[n] = min(length + JUST_TAUT, upper[n])
         return None if np.array_equal(z, before) else jax.device_put(z)
 
     def weighed(self, z: Float[Array, " n_p"], response: Response) -> Evaluation:
@@ -294,21 +298,18 @@ class Command(Evaluator):
         self, here: Evaluation
     ) -> tuple[Float[HostArray, " k"], HostArray, HostArray]:
         """Return the forces, and changes of forces and displacements by z."""
-        k, read = len(self.inputs), np.asarray(here.effectors)[0, :, 0]
+        n, read = len(self.free), np.asarray(here.effectors)[0, :, 0]
         W = np.asarray(here.response.W_ep)[0]
-        imposed = self.scale * np.asarray(here.z)
-        forces, by_force, by_displacement = (
-            np.zeros(k),
-            np.zeros((k, k)),
-            np.zeros((k, k)),
-        )
-        for n, (i, row) in enumerate(zip(self.inputs, self._follow, strict=True)):
-            both = by_displacement, by_force
-            own, other = both if i.by_displacement else both[::-1]
-            own[n, n], forces[n] = self.scale[n], imposed[n]
-            if row is not None:
-                other[n] = W[3 * row]
-                forces[n] = read[row] if i.by_displacement else imposed[n]
+        forces, (by_force, by_displacement) = np.zeros(n), np.zeros((2, n, n))
+        has_displacement = self.problem.model.mechanism.actuators.has_displacement
+        for m, (k, i) in enumerate(zip(self.free, self._free(), strict=True)):
+            both, row = (by_force, by_displacement), self._follow[k]
+            own, other = both[::-1] if i.by_displacement else both
+            own[m, m], forces[m] = self.scale[m], self.scale[m] * float(here.z[m])
+            if i.by_displacement:
+                forces[m] = read[row]
+            if i.by_displacement or has_displacement[i.a]:
+                other[m] = W[3 * row]
         return forces, by_force, by_displacement
 
     def weighing_energy(self, here: Evaluation) -> tuple["Command", Evaluation]:
@@ -318,12 +319,10 @@ class Command(Evaluator):
         robot in a state that would be unstable without them, W_aa has negative
         eigenvalues; their magnitude is used.
         """
-        epsilon, actuators = (
-            self.settings.epsilon,
-            self.problem.model.mechanism.actuators,
-        )
+        epsilon = self.settings.epsilon
         if epsilon == 0.0:
             return self, here
+        actuators = self.problem.model.mechanism.actuators
         _, by_force, by_displacement = self._actuators(here)
         assert here.response.displacement is not None
         motion = np.asarray(here.response.displacement)[0]
@@ -345,27 +344,17 @@ class Command(Evaluator):
 
 def _readings(
     model: Model, i: Input
-) -> tuple[AbstractEffector | None, ActuatorDisplacement | None]:
-    """Return readings of what follows an input, and of a cable that can be slack."""
+) -> tuple[AbstractEffector, ActuatorDisplacement | None]:
+    """Return readings of what follows an input, and of a cable that can be slack.
+
+    Of a force without a displacement it is the force itself: each input has a reading.
+    """
     actuators = model.mechanism.actuators
     kind, name = actuators.kinds[i.a], actuators.names[i.a]
-    covers = None
-    if kind.displacement_unit:
-        covers = ActuatorDisplacement(f"what {name!r} covers", name, std=1.0)
+    drives = ActuatorForce(f"what drives {name!r}", name, std=1.0)
+    if not kind.displacement_unit:
+        return drives, None
+    covers = ActuatorDisplacement(f"what {name!r} covers", name, std=1.0)
     if not i.by_displacement:
         return covers, None
-    drives = ActuatorForce(f"what drives {name!r}", name, std=1.0)
     return drives, covers if kind.unilateral else None
-
-
-def _space(
-    model: Model, inputs: Sequence[Input], scale: Float[HostArray, " n_p"]
-) -> ParameterSpace:
-    """Make inputs parameters, with the value of a unit step of each."""
-    entries = []
-    for i, S in zip(inputs, scale.tolist(), strict=True):
-        name, (low, high) = model.mechanism.actuators.names[i.a], i.box
-        ends = max(low, i.start - FAR * S), min(high, i.start + FAR * S)
-        value = Parameter(name, "", i.start, *ends, scale="linear", S=S)
-        entries.append(SetupParameter("command", name, [value]))
-    return ParameterSpace(entries)

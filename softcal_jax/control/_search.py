@@ -59,10 +59,14 @@ Where goals can be reached, ends that miss them differ by factors.
 
 
 class Descent(NamedTuple):
-    """Where a descent is, and how it ended; `outcome` is None while it can go on."""
+    """Where a descent is, and how it ended; `outcome` is None while it can go on.
+
+    `latest` is the state after its last step, from which it goes on.
+    """
 
     robot: Command
     state: CalibrationState
+    latest: CalibrationState
     outcome: OUTCOMES | None = None
     records: tuple[StepRecord, ...] = ()
 
@@ -77,7 +81,7 @@ class Descent(NamedTuple):
     @property
     def ended(self) -> bool:
         """Whether even a short step leads to no equilibrium."""
-        return bool(self.state.lost) and float(self.state.step_bound) < ENDED
+        return bool(self.latest.lost) and float(self.latest.step_bound) < ENDED
 
     @property
     def keeps_limits(self) -> bool:
@@ -99,7 +103,7 @@ def approached(robot: Command, guess: Float[HostArray, "n_points 3"]) -> Evaluat
     start = robot(jax.device_put(asked), at)
     if start.equilibrium.converged[0]:
         return start
-    none, share, piece = np.clip(0.0, *robot.box()), 0.0, 0.5
+    none, share, piece = np.clip(0.0, *robot.box), 0.0, 0.5
     here = robot(*jax.device_put((none, np.zeros(at.shape))))
     if not here.equilibrium.converged[0]:
         return start
@@ -121,7 +125,8 @@ def begin(robot: Command, here: Evaluation) -> Descent:
     """Return a descent before its first step."""
     if here.ok:
         robot, here = robot.weighing_energy(here)
-    first = Descent(robot, initial_state(robot.settings.loop, here))
+    state = initial_state(robot.settings.loop, here)
+    first = Descent(robot, state, state)
     if here.ok:
         return first._replace(outcome=_outcome(first))
     result = robot.solution(here).result
@@ -133,34 +138,36 @@ def begin(robot: Command, here: Evaluation) -> Descent:
 def continued(start: Descent, *, explore: bool = False) -> Descent:
     """Take steps, as a calibration does, until the goals are met or no step helps.
 
-    With `explore` it stops once steps hardly come closer any more, where it came
-    closest. Near a goal that is met, the error falls tenfold with each step; at a fold
-    of the map from inputs to effectors, most steps are spent on the last digits of a
-    minimum. A KeyboardInterrupt carries the descent so far.
+    Where it gives up it ends where it came closest, as single steps may lead away. With
+    `explore` it does once steps hardly come closer any more. Near a goal that is met,
+    the error falls tenfold with each step; at a fold of the map from inputs to
+    effectors, most steps are spent on the last digits of a minimum. A KeyboardInterrupt
+    carries the descent so far.
     """
-    now, robot, closest = start, start.robot, start
+    now, robot = start, start.robot
 
     def note(state: CalibrationState) -> None:
-        nonlocal now, closest
+        nonlocal now
         step = StepRecord(
             size=float(np.abs(state.lambda_p).max()),
             cost=float(state.evaluation.cost),
             violation=float(state.recent_excess[0]),
             kkt_residual=float(state.kkt_residual),
-            newton_steps=int(state.evaluation.equilibrium.steps[0]),
+            newton_steps=int(state.newton_steps[0]),
             accepted=bool(state.accepted),
         )
-        now = Descent(robot, state, records=(*now.records, step))
-        now = now._replace(outcome=_outcome(now))
-        closest = now if tuple(_parts(now)) <= tuple(_parts(closest)) else closest
+        new = Descent(robot, state, state, records=(*now.records, step))
+        if not state.converged and _closer(robot, now, new):
+            new = new._replace(state=now.state)
+        now = new._replace(outcome=_outcome(new))
 
     enough = lambda _: now.outcome is not None or (explore and _slow(now.records))
     try:
-        descend(robot, robot.settings.loop, start.state, note, enough)
+        descend(robot, robot.settings.loop, start.latest, note, enough)
     except KeyboardInterrupt:
         interrupted = now._replace(outcome=OUTCOMES.interrupted)
         raise KeyboardInterrupt(interrupted) from None
-    return now if now.outcome else closest._replace(records=now.records)
+    return now
 
 
 def _slow(records: Sequence[StepRecord]) -> bool:
@@ -173,7 +180,7 @@ def _slow(records: Sequence[StepRecord]) -> bool:
 
 def _outcome(now: Descent) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
-    state, settings, kept = now.state, now.robot.settings, now.keeps_limits
+    state, settings, kept = now.latest, now.robot.settings, now.keeps_limits
     met = kept and now.robot.off(now.here) <= settings.tol
     if met and (settings.epsilon == 0.0 or state.converged):
         return OUTCOMES.met
@@ -204,32 +211,33 @@ def search(
     try:
         for way, descent in _ways(first):
             tried[way] = descent
-            best = way if _better(descent, tried[best]) else best
-            if descent.met or _agree([*tried.values()]):
+            best = way if _better(robot, descent, tried[best]) else best
+            if descent.met or _agree(robot, [*tried.values()]):
                 break
         # A scan saw what else there is; elsewhere the start may still come closer.
-        ends = (best,) if len(robot.inputs) == 1 else ("the start", best)
+        ends = (best,) if len(robot.free) == 1 else ("the start", best)
         for way in () if tried[best].met else dict.fromkeys(ends):
             tried[way] = continued(tried[way])
-        if not _better(tried[best], tried["the start"]):
+        if not _better(robot, tried[best], tried["the start"]):
             best = "the start"
     except KeyboardInterrupt as stop:
         for descent in stop.args:  # the one that was under way, if any
             tried["the last, interrupted"] = descent
-            if not _better(tried[best], descent):
+            if not _better(robot, tried[best], descent):
                 best = "the last, interrupted"
-        tried[best] = tried[best]._replace(outcome=OUTCOMES.interrupted)
+        ended = {"robot": robot, "outcome": OUTCOMES.interrupted}
+        tried[best] = tried[best]._replace(**ended)
     return tried[best], tuple(
         Attempt(way, end.outcome, robot.off(end.here), len(end.records))
         for way, end in tried.items()
     )
 
 
-def _agree(tried: Sequence[Descent]) -> bool:
+def _agree(robot: Command, tried: Sequence[Descent]) -> bool:
     """Tell whether the last ends are as far from the goals as the best, in limits."""
     if len(tried) < AGREEING or not all(end.here.ok for end in tried):
         return False
-    off = [np.linalg.norm(end.robot.residuals(end.here)) for end in tried]
+    off = [np.linalg.norm(robot.residuals(end.here)) for end in tried]
     near = max(off[-AGREEING:]) <= (1.0 + AS_FAR) * min(off)
     return bool(near) and all(end.keeps_limits for end in tried)
 
@@ -241,7 +249,7 @@ def _ways(first: Descent) -> Iterator[tuple[str, Descent]]:
     yield "the start", nearest
     if not others:
         return
-    if len(robot.inputs) == 1:
+    if len(robot.free) == 1:
         for k, start in enumerate(_scanned(first, nearest), start=1):
             yield f"other start {k}, of a scan", continued(start, explore=True)
         return
@@ -276,9 +284,9 @@ def _scanned(first: Descent, nearest: Descent) -> list[Descent]:
         descent
         for k, descent in enumerate(along)
         if descent is not nearest
-        and all(_better(descent, other) for other in beside(k))
+        and all(_better(robot, descent, other) for other in beside(k))
     ]
-    return sorted(lowest, key=lambda descent: tuple(_parts(descent)))
+    return sorted(lowest, key=lambda descent: tuple(_parts(robot, descent)))
 
 
 def _over_goals(robot: Command, first: Evaluation) -> Descent | None:
@@ -327,7 +335,7 @@ def _other_starts(first: Descent) -> Float[HostArray, "n_starts n_p"]:
 def _reach(first: Descent) -> Float[HostArray, "2 n_p"]:
     """Return the lowest and highest inputs within limits and the reach of a step."""
     reach, z = first.robot.settings.max_step_bound, np.asarray(first.state.z)
-    return np.clip([z - reach, z + reach], *first.robot.box())
+    return np.clip([z - reach, z + reach], *first.robot.box)
 
 
 def _driven(
@@ -349,17 +357,24 @@ def _driven(
     return None
 
 
-def _better(descent: Descent, than: Descent) -> bool:
-    """Compare two ends: kept limits first, then the cost."""
-    for new, old in zip(_parts(descent), _parts(than), strict=True):
+def _better(robot: Command, descent: Descent, than: Descent) -> bool:
+    """Compare two ends: goals that are met first, then kept limits, then the cost."""
+    if descent.met or than.met:
+        return descent.met
+    return _closer(robot, descent, than)
+
+
+def _closer(robot: Command, descent: Descent, than: Descent) -> bool:
+    """Tell whether a state keeps limits better, or comes clearly closer."""
+    each = _parts(robot, descent), _parts(robot, than)
+    for new, old in zip(*each, strict=True):
         if abs(new - old) > EQUAL * max(new, old):
             return bool(new < old)
-    return descent.met
+    return False
 
 
-def _parts(descent: Descent) -> Float[HostArray, "2"]:
+def _parts(robot: Command, descent: Descent) -> Float[HostArray, "2"]:
     """Return exceeded limits and the cost of errors; below the tolerance they tie."""
-    robot, excess = descent.robot, float(descent.state.recent_excess[0])
     cost = 0.5 * np.sum(robot.residuals(descent.here) ** 2)
-    floor = 10.0 * OUTSIDE, 0.5 * robot.settings.tol**2
-    return np.maximum([excess, cost], floor)
+    excess = float(descent.state.recent_excess[0])
+    return np.maximum([excess, cost], [OUTSIDE, 0.5 * robot.settings.tol**2])

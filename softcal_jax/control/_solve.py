@@ -56,8 +56,8 @@ def solve_inverse(
     """Find the actuation that brings effectors to their goals, or nearest to them.
 
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
-    the energy of the actuators, until the goals are met or no step comes closer. Each
-    step is tried on the true equilibrium, and kept only if it helps. If that does not
+    the energy of the actuators, until the goals are met or no step comes closer: the
+    loop of `calibrate`, with the inputs for parameters. If that does not
     meet the goals, they are approached from other starts within the limits, and over a
     continuation; the result is the best end, and what holds it there. Cables with an
     imposed displacement stay taut: slack ones are wound up, and none becomes slack.
@@ -79,7 +79,8 @@ def solve_inverse(
 
     Raises:
         ValueError: If no actuator is commanded, no effector has a goal, a name is
-            unknown, a goal has the wrong number of coordinates, or limits clash.
+            unknown, a goal has the wrong number of coordinates, limits clash, or they
+            leave no actuator any room.
         RuntimeError: If there is no equilibrium at the start or a singular one, or the
             search does not end at an optimum within the limits.
 

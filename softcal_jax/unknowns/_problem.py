@@ -35,6 +35,12 @@ class ReadingLimits(Module):
     lower: Float[Array | HostArray, " n"]
     upper: Float[Array | HostArray, " n"]
 
+    def of_first(self, n: int) -> "ReadingLimits":
+        """Return the limits of the first coordinates."""
+        kept = np.flatnonzero(np.array(self.index) < n)
+        index = np.array(self.index)[kept].tolist()
+        return ReadingLimits(index, self.lower[kept], self.upper[kept])
+
 
 class Problem(Module):
     """A model, its parameters, and the poses that inform them.
@@ -166,6 +172,7 @@ class Problem(Module):
             n_held_out=0,
             noise=self.noise and self.noise.of_first(n),
             deviations=None if self.deviations is None else self.deviations[:n],
+            limits=self.limits and self.limits.of_first(some.effectors.measured.size),
         )
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "Problem":

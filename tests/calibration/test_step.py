@@ -11,16 +11,20 @@ from printed_beam import BEAM
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
+    Evaluator,
     build_problem,
     calibrate,
+    descend,
     evaluate,
     initial_state,
     propose,
 )
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._step import MEMORY, decide
+from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
+from softcal_jax.unknowns import ReadingLimits
 
 CELLS = (2, 1, 1)
 # Columns: E_t, E_l and theta, at both control points each.
@@ -434,3 +438,34 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(quadratic):
     assert not bool(linear.converged)
     assert float(curved.evaluation.cost) <= float(linear.evaluation.cost)
     assert float(curved.evaluation.cost) > 0.01
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_reading_stays_within_its_limit(problem, side):
+    """Half way to where the data lead it; and the best fit within is on the limit."""
+    settings, z = CalibrationSettings(), problem.space.start()
+
+    def fitted(limited):
+        with Workers(problem.model, len(problem.poses)) as workers:
+            evaluate = Evaluator(limited, workers)
+            state = initial_state(settings, evaluate.from_rest(z))
+            first = np.ravel(state.evaluation.effectors)
+            end = descend(evaluate, settings, state, lambda _: None)
+        return first, np.ravel(end.evaluation.effectors), end
+
+    begin, free, best = fitted(problem)
+    k = int(np.nanargmax(np.abs(free - begin)))
+    sign = np.sign(free[k] - begin[k]) * (1.0 if side == "upper" else -1.0)
+    half = 0.5 * (begin[k] + free[k])
+    # What leads up is limited from above; seen from the other side, it starts outside.
+    ends = (-np.inf, half) if sign > 0.0 else (half, np.inf)
+    limits = ReadingLimits([k], *np.array(ends)[:, None])
+    _, held, end = fitted(replace(problem, limits=limits))
+    assert bool(end.converged)
+    beyond = (held[k] - half) * sign
+    motion = abs(free[k] - begin[k])
+    if side == "upper":
+        assert abs(beyond) < 1e-5 * motion
+        assert float(end.evaluation.cost) > float(best.evaluation.cost)
+    else:  # it is no limit of the fit, but of its start
+        np.testing.assert_allclose(held[k], free[k], atol=1e-5 * motion)

@@ -209,6 +209,29 @@ def test_one_program_for_all_goals_and_models():
     assert seen.programs == []
 
 
+def test_a_turned_motor_is_near_its_prediction(monkeypatch):
+    """Bodies turn where the guess moves them along lines: no solve from afar."""
+    (goal,) = tips(robot(top=0.0, motor=0.0), [[1.5, 0.4]])
+    solved, equilibria = [], Evaluator.equilibria
+
+    def counted(*args, **kwargs):
+        solved.append(1)
+        return equilibria(*args, **kwargs)
+
+    monkeypatch.setattr(Evaluator, "equilibria", counted)
+    result = solve_inverse(
+        arm(), robot(top=0.1, motor=0.0), goals={"tip": goal}, settings=FINE
+    )
+    assert result.met
+    assert len(solved) <= 1  # the start, from rest
+
+
+def test_limits_that_leave_no_room_are_an_error():
+    limits = {"top": Limits(force=(1.0, 1.0))}
+    with pytest.raises(ValueError, match="'arm' leave no actuator any room"):
+        solve_inverse(arm(), robot(top=1.0), goals={"bend": 0.1}, limits=limits)
+
+
 def test_search_that_does_not_end_says_so():
     settings = ControlSettings(max_steps=1, other_starts=0)
     with pytest.raises(RuntimeError, match=r"'arm': .*max_steps; raise"):
