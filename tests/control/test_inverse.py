@@ -114,6 +114,9 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     assert off.min() < nearest + 2e-3
     for name, limit in limits.items():
         assert any(repr(name) in text for text in result.active_limits), limit
+    # To the last digit, as the next command begins there.
+    assert 0.0 <= result.inputs[0] <= force[1]
+    assert angle[0] <= result.inputs[1] <= angle[1]
 
 
 def test_cables_never_push():
@@ -157,6 +160,25 @@ def test_limits_of_what_follows_hold():
     check(result)
     np.testing.assert_allclose(result.forces["top"], 1.2, rtol=1e-4)
     check_only(result.active_limits, "force ... 'top' ... upper")
+
+
+def test_limits_of_a_held_cable_hold():
+    """The upper cable keeps its length while the lower one yields; its force rises."""
+    d = 0.004
+    run = lambda most: solve_inverse(
+        arm(),
+        robot(top=ImposedDisplacement(d), bottom=1.0),
+        goals={"bend": 1.0},
+        limits={"top": Limits(displacement=(d, d), force=(0.0, most))},
+        settings=FEW,
+    )
+    free = run(np.inf)
+    check_only(free.held_by, "force ... 'bottom' ... lower")
+    most = 0.99 * free.forces["top"]
+    held = run(most)
+    check(held)
+    np.testing.assert_allclose(held.forces["top"], most, rtol=1e-4)
+    check_only(held.held_by, "force ... 'top' ... upper")
 
 
 def test_epsilon_ends_co_contraction():

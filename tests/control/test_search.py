@@ -119,6 +119,32 @@ def test_an_interrupted_search_gives_the_best_so_far(monkeypatch, step):
     np.testing.assert_allclose(result.solution.displacement, at, atol=1e-9)
 
 
+def test_a_continuation_that_is_interrupted_is_judged_by_the_goals(monkeypatch):
+    """Its own goals lie nearer than the real ones, to which the start comes closest."""
+    limits = {"top": Limits(force=(0.0, 3.0)), "motor": Limits(displacement=(-1, 1))}
+    goals = {"tip": (0.08, 0.01, 0.09)}
+    over_goals = _search._over_goals
+
+    def interrupted(robot, first):
+        interrupted_at(monkeypatch, 2)
+        return over_goals(robot, first)
+
+    monkeypatch.setattr(_search, "AGREEING", 100)
+    monkeypatch.setattr(_search, "_over_goals", interrupted)
+    result = solve_inverse(
+        arm(),
+        robot(top=0.8, motor=0.1),
+        goals=goals,
+        limits=limits,
+        settings=FEW,
+        throw=False,
+    )
+    assert result.outcome == OUTCOMES.interrupted
+    (end,) = result.goals
+    error = np.abs(end.in_std).max()
+    assert error == pytest.approx(min(t.error for t in result.attempts), rel=1e-3)
+
+
 def test_an_interrupted_call_or_trajectory_does_not_pass_for_a_whole_one(monkeypatch):
     model, start, goal, more = behind_a_fold()
     more |= {"settings": DIRECT}
