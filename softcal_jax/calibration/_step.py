@@ -162,7 +162,7 @@ def initial_state(
         "by_polish": no,
         "accepted": ~no,
         "lost": no,
-        "newton_steps": np.asarray(evaluation.equilibrium.steps),
+        "newton_steps": evaluation.equilibrium.steps,
         "step": np.zeros((), np.int32),
         "converged": no,
         "stalled": no,

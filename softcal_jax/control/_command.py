@@ -191,11 +191,8 @@ class Command(Evaluator):
 
     def towards(self, goal: Float[HostArray, "n_rows 3"]) -> "Command":
         """Return the same command with other goals, and without the energy."""
-        where, other = (
-            lambda problem: problem.lanes.arrays.effectors.measured,
-            copy(self),
-        )
-        other._pose(eqx.tree_at(where, self.problem, goal[None]), self.workers)
+        other, goals = copy(self), lambda p: p.lanes.arrays.effectors.measured
+        other._pose(eqx.tree_at(goals, self.problem, goal[None]), self.workers)
         other.settings = eqx.tree_at(lambda s: s.epsilon, self.settings, 0.0)
         other.energy = np.zeros_like(self.energy)
         return other
@@ -209,9 +206,8 @@ class Command(Evaluator):
         """Return the configuration with the inputs of an evaluation."""
         lane, inputs = self.problem.configurations[0], self._free()
         value, box = np.array(lane.actuation.value), np.array([i.box for i in inputs])
-        # Scaling back rounds.
-        found = np.clip(self.scale * np.asarray(here.z), *box.T)
-        value[[i.a for i in inputs]] = found
+        found = self.scale * np.asarray(here.z)
+        value[[i.a for i in inputs]] = np.clip(found, *box.T)  # scaling back rounds
         return with_inputs(lane, jax.device_put(value))
 
     def solution(self, here: Evaluation) -> EquilibriumSolution:
@@ -222,7 +218,8 @@ class Command(Evaluator):
         """Return effector errors in units of std, 0 without a goal [-]."""
         goals = self.problem.configurations.effectors
         weight, goal = map(np.asarray, (goals.inverse_std, goals.measured))
-        return np.ravel(weight * np.where(weight > 0.0, here.effectors - goal, 0.0))
+        off = np.where(weight > 0.0, np.asarray(here.effectors) - goal, 0.0)
+        return np.ravel(weight * off)
 
     def off(self, here: Evaluation) -> float:
         """Return the largest of them [-]."""

@@ -22,13 +22,14 @@ from scipy.spatial.distance import cdist
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._assembly import no_strains, predict
+from softcal_jax.equilibrium._assembly import no_strains, predict, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
     Residual,
     estimated_forces,
     evaluate,
     merit,
+    nodal_tangent,
     relative,
     unbalanced,
     zeros_of,
@@ -260,9 +261,9 @@ def continue_equilibrium(
     is stated at the equilibrium, but its tangent is that before the last Newton step,
     so its error is of the order of that step. If `precise`, it is assembled once more.
     `rows` is the number of right-hand sides that the caller will solve for: where
-    refining them with the last factor would take longer, it is factorized, too. (Forces
+    refining them with the last factor would take longer, it is factorized, too. (Rows
     of parameters are always those at the equilibrium, or a direction without effect
-    would seem to have one; what moves something held pulls by that tangent.)
+    would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -297,7 +298,8 @@ def continue_equilibrium(
         posed=posed,
         point=state.point,
         lambda_a=lambda_a,
-        nodal=state.factor.nodal,
+        # Compiled only for inputs that move something held, and readings of forces.
+        nodal=nodal_tangent(posed, u, lambda_a, tangent_values(quick.model, u)),
         system=state.factor.system,
         regular=state.factor.ok,
         near=True,

@@ -34,12 +34,10 @@ _LARGEST_TURN = 0.5
 class Factor(NamedTuple):
     """A factorized tangent, the mean stiffness of an unknown, and the solver's report.
 
-    `nodal` is the tangent over all nodes, see `Tangent`; for `gap_stiffness` see
-    `stiffness_of_gaps`.
+    For `gap_stiffness` see `stiffness_of_gaps`.
     """
 
     system: System
-    nodal: Float[Array, " nnz"]
     stiffness: Float[Array, ""]
     gap_stiffness: Float[Array, " n_a"]
     n_negative: Int[Array, ""]
@@ -118,7 +116,6 @@ def newton_direction(
     sign, reach = _of_turning_bodies(posed, d[u.size :], slope, moving)
     factor = Factor(
         system=tangent.system,
-        nodal=tangent.nodal,
         stiffness=tangent.stiffness,
         gap_stiffness=stiffness_of_gaps(posed, solved.W_aa),
         n_negative=solved.n_negative,
