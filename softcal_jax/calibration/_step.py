@@ -193,8 +193,8 @@ class Proposal(Module):
 
     `cost` is predicted by the model of the QP, `costs` by the linear model of the
     errors, without and with curvature, and `excess` by that of limited readings.
-    `precise` asks for exact compliances. A step
-    that `vanishes` is too small to be worth an evaluation.
+    `precise` asks for exact compliances. A step that `vanishes` is too small to be
+    worth an evaluation.
     """
 
     qp: QPStep

@@ -59,9 +59,9 @@ Where goals can be reached, ends that miss them differ by factors.
 
 
 class Descent(NamedTuple):
-    """Where a descent is, and how it ended; `outcome` is None while it can go on.
+    """How close a descent came, and how it ended; `outcome` is None while it can go on.
 
-    `latest` is the state after its last step, from which it goes on.
+    `state` is where it came closest, `latest` where it is, and goes on from.
     """
 
     robot: Command
@@ -157,9 +157,11 @@ def continued(start: Descent, *, explore: bool = False) -> Descent:
             accepted=bool(state.accepted),
         )
         new = Descent(robot, state, state, records=(*now.records, step))
-        if not state.converged and _closer(robot, now, new):
+        new = new._replace(outcome=_outcome(new))
+        if not (new.met or state.converged) and _closer(robot, now, new):
             new = new._replace(state=now.state)
-        now = new._replace(outcome=_outcome(new))
+            new = new._replace(outcome=_outcome(new))
+        now = new
 
     enough = lambda _: now.outcome is not None or (explore and _slow(now.records))
     try:

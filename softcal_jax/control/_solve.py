@@ -57,8 +57,8 @@ def solve_inverse(
 
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer: the
-    loop of `calibrate`, with the inputs for parameters. If that does not
-    meet the goals, they are approached from other starts within the limits, and over a
+    loop of `calibrate`, with the inputs for parameters. If that does not meet the
+    goals, they are approached from other starts within the limits, and over a
     continuation; the result is the best end, and what holds it there. Cables with an
     imposed displacement stay taut: slack ones are wound up, and none becomes slack.
 
