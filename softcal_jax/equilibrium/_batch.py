@@ -21,8 +21,9 @@ from softcal_jax.equilibrium._continuation import (
     distances,
     unloaded,
 )
+from softcal_jax.equilibrium._load_steps import LoadState
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
+from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._path import trace_equilibria
 from softcal_jax.equilibrium._robot_state import effector_values
 from softcal_jax.equilibrium._solve import (
@@ -117,14 +118,14 @@ def equilibria(
     lanes = _Lanes(workers, model, configurations, newton, report)
     each, solutions = lanes.each, {}
     known = [k._replace(configuration=without_readings(k.configuration)) for k in known]
-    begun: dict[int, NewtonState | None] = dict.fromkeys(range(len(each)))
+    begun: dict[int, LoadState | None] = dict.fromkeys(range(len(each)))
 
     def end(c: int, solution: EquilibriumSolution) -> None:
         solutions[c] = solution
         begun.pop(c)
         ended(c, solution)
 
-    def tried(c: int, new: tuple[NewtonState, EquilibriumSolution]) -> None:
+    def tried(c: int, new: tuple[LoadState, EquilibriumSolution]) -> None:
         begun[c] = new[0]
         if new[1].converged:
             end(c, new[1])
@@ -144,7 +145,7 @@ def equilibria(
 
 def _from_nearest(
     lanes: "_Lanes",
-    begun: dict[int, NewtonState | None],
+    begun: dict[int, LoadState | None],
     known: Sequence[Known],
     end: Callable[[int, EquilibriumSolution], None],
     *,
@@ -213,7 +214,7 @@ class _Lanes:
             for settings in (settings, at_once)
         )
 
-    def begin(self, c: int) -> tuple[NewtonState, EquilibriumSolution]:
+    def begin(self, c: int) -> tuple[LoadState, EquilibriumSolution]:
         """Take the full load from rest in one step."""
         begin, go_on = self._at_once
         (state,) = self.workers.map(begin, [(self.each[c], None)])
@@ -224,7 +225,7 @@ class _Lanes:
         c: int,
         u: Nodal | None = None,
         *,
-        begun: NewtonState | None = None,
+        begun: LoadState | None = None,
         taken: int = 0,
     ) -> EquilibriumSolution:
         """Solve a lane by load steps, from a guess, rest, or what `begin` returned.
@@ -242,7 +243,7 @@ class _Lanes:
         return self._with_cause(self.each[c], *ended)
 
     def from_known(
-        self, c: int, near: Known, begun: NewtonState | None
+        self, c: int, near: Known, begun: LoadState | None
     ) -> EquilibriumSolution:
         """Solve a lane from an equilibrium; failing that, by load steps from rest."""
         before = 0 if begun is None else int(begun.step)
@@ -284,9 +285,9 @@ class _Lanes:
         self,
         go_on: Program,
         lane: ConfigurationArrays,
-        state: NewtonState,
+        state: LoadState,
         say: Callable[[float, int, str], None] = lambda *_: None,
-    ) -> tuple[NewtonState, EquilibriumSolution]:
+    ) -> tuple[LoadState, EquilibriumSolution]:
         """Iterate until Newton's method is done, or out of steps."""
         while True:
             ((state, solution),) = self.workers.map(go_on, [(lane, state)])
@@ -295,7 +296,7 @@ class _Lanes:
                 return state, solution
 
 
-def _trouble(model: Model, lane: ConfigurationArrays, state: NewtonState) -> str:
+def _trouble(model: Model, lane: ConfigurationArrays, state: LoadState) -> str:
     """Say which load the body resists, and where, after three cuts of the load."""
     if not 0.0 < float(state.increment) <= _CUT * (1.0 - float(state.load_ok)):
         return ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -25,10 +26,18 @@ from softcal_jax.equilibrium._assembly import (
     stiffness_of_laws,
 )
 from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
+from softcal_jax.equilibrium._load_steps import LoadState, LoadSteps
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
+from softcal_jax.equilibrium._newton import (
+    NewtonSettings,
+    iteration_by,
+    newton_iteration,
+)
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._without_derivative import without_derivative
+
+if TYPE_CHECKING:
+    from softcal_jax.equilibrium._newton import Solver
 
 
 class EquilibriumSolution(Module):
@@ -138,25 +147,25 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         raise RuntimeError(text)
 
 
-def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolution:
-    carried = state.done & (state.load_ok >= 1.0)
+def as_solution(state: LoadState, settings: NewtonSettings) -> EquilibriumSolution:
+    carried, now = state.done & (state.load_ok >= 1.0), state.iterate
     beyond = state.result == RESULTS.limit_point
     # Without an equilibrium, no displacement may be mistaken for one. While it is
     # sought, a nan would only stop programs that are searched for nan.
     sought = ~state.done & (state.step < settings.max_steps)
     or_nan = lambda value: jnp.where(carried | sought, value, jnp.nan)
     return EquilibriumSolution(
-        displacement=or_nan(state.point.u),
-        multipliers=or_nan(state.lambda_a),
+        displacement=or_nan(now.point.u),
+        multipliers=or_nan(now.lambda_a),
         result=state.result,
         steps=state.step,
         load_steps=state.load_steps,
         load_reached=state.load_ok,
-        residual=state.residual.size,
-        rounding=state.residual.rounding,
-        at_rounding=carried & state.residual.at_rounding(settings.rtol),
-        min_det_F=state.point.min_det_F,
-        n_negative=jnp.where(beyond, state.limit, state.n_negative),
+        residual=now.residual.size,
+        rounding=now.residual.rounding,
+        at_rounding=carried & now.residual.at_rounding(settings.rtol),
+        min_det_F=now.point.min_det_F,
+        n_negative=jnp.where(beyond, state.limit, now.n_negative),
         approached=or_nan(jnp.ones_like(state.load_ok)),
         along_path=or_nan(jnp.ones_like(state.load_ok)),
     )
@@ -168,12 +177,12 @@ def begin_newton(
     settings: NewtonSettings,
     configuration: ConfigurationArrays,
     guess: Nodal | None = None,
-) -> NewtonState:
+) -> LoadState:
     """Return the state before the first iteration, for `continue_newton`.
 
     At rest there is nothing to evaluate, and little to compile.
     """
-    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+    loop = LoadSteps(Posed.of(model.tabulated(), configuration), settings)
     return loop.start(guess)
 
 
@@ -183,13 +192,13 @@ def continue_newton(
     settings: NewtonSettings,
     steps: Int[Array, ""],
     configuration: ConfigurationArrays,
-    state: NewtonState,
-) -> tuple[NewtonState, EquilibriumSolution]:
+    state: LoadState,
+) -> tuple[LoadState, EquilibriumSolution]:
     """Do some more iterations, for a caller that reports in between.
 
     The solution counts only if the state is `done` or no iterations are left.
     """
-    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+    loop = LoadSteps(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
     state = loop.run(state, most)
     return state, as_solution(state, settings)
@@ -202,7 +211,7 @@ _GIVES_WAY = 0.25
 def with_cause(
     model: Model,
     lane: ConfigurationArrays,
-    state: NewtonState,
+    state: LoadState,
     solution: EquilibriumSolution,
 ) -> EquilibriumSolution:
     """Say of a solve that failed whether its law gave way, or a chamber.
@@ -212,7 +221,7 @@ def with_cause(
     failed = solution.result
     if failed in (RESULTS.converged, RESULTS.inverted):
         return solution
-    u = state.point.u if failed == RESULTS.unstable else state.stray
+    u = state.iterate.point.u if failed == RESULTS.unstable else state.stray
     motion = u if failed == RESULTS.unstable else u - state.ok.u
     here, at_rest = stiffness_of_laws(model, u, motion)
     if here < _GIVES_WAY * at_rest:
@@ -240,27 +249,30 @@ def loads_work(
     return np.abs([*(np.sum(forces * u) for forces in nodal), *of_actuators])
 
 
-def resumed(state: NewtonState) -> NewtonState:
+def resumed(state: LoadState) -> LoadState:
     """Return a state that gave up its first step, to go on by load steps from rest."""
     beyond = state.result == RESULTS.limit_point
     result = RESULTS.where(beyond, RESULTS.limit_point, RESULTS.max_steps)
     return state._replace(result=result, done=jnp.zeros((), bool))
 
 
-def _solved(model, configuration, u0, settings) -> EquilibriumSolution:
-    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+def _solved(model, configuration, u0, settings, solver) -> EquilibriumSolution:
+    posed = Posed.of(model.tabulated(), configuration)
+    iteration = newton_iteration if solver is None else iteration_by(solver)
+    loop = LoadSteps(posed, settings, iteration)
     return as_solution(loop.run(loop.start(u0), settings.max_steps), settings)
 
 
 @eqx.filter_custom_jvp
-def _equilibrium(model, configuration, u0, settings):
+def _equilibrium(model, configuration, u0, settings, solver):
     # A `vmap` of the loop would run all lanes until the slowest ends. In sequence, each
     # gives what it gives alone, but for rounding, and nothing shared is copied.
     model, rest = eqx.partition(model, eqx.is_array_like)
 
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):
-        return _solved(eqx.combine(model, rest), configuration, u0, settings)
+        model = eqx.combine(model, rest)
+        return _solved(model, configuration, u0, settings, solver)
 
     return lane(model, configuration, u0, settings)
 
@@ -271,11 +283,11 @@ def _equilibrium_jvp(primals, tangents):
 
     The single input of `sensitivity` is a step along the tangents.
     """
-    model, configuration, u0, settings = primals
-    t_model, t_configuration, _, _ = tangents
+    model, configuration, *others = primals
+    t_model, t_configuration, *_ = tangents
     if t_model.mesh.points is not None and t_model.mechanism.points is None:
         raise ValueError(OTHER_POINTS)
-    solution = _equilibrium(model, configuration, u0, settings)
+    solution = _equilibrium(model, configuration, *others)
     u, lambda_a = solution.displacement, solution.multipliers
 
     def along(function):
@@ -328,6 +340,7 @@ def solve_equilibrium(
     *,
     guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
+    solver: "Solver | None" = None,
 ) -> EquilibriumSolution:
     """Solve for the static equilibrium of one configuration.
 
@@ -339,13 +352,20 @@ def solve_equilibrium(
         configuration: One configuration, with supports and loads, or one of `lanes`.
         guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
+        solver: What finds the balance at each load in place of Newton's method: a root
+            finder, least-squares solver or minimiser of optimistix, such as
+            `optimistix.Dogleg(1e-10, 1e-10)`. Its tolerances are relative to the size
+            of the robot and to the forces on it. With its own linear solver it works on
+            a dense Jacobian, so take a small mesh. Load steps, the rule that tells an
+            equilibrium, and derivatives stay.
 
     Returns:
         The solution with its outcome, which `check_converged` raises.
 
     Raises:
         ValueError: If the configuration is a batch or of another model, the guess has
-            another shape or is not float64, or float64 is off in JAX.
+            another shape or is not float64, the solver is none of optimistix, or
+            float64 is off in JAX.
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
@@ -357,10 +377,16 @@ def solve_equilibrium(
             f"the guess is {u0.dtype} of shape {u0.shape}; expected float64 of shape "
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
+    if not (solver is None or hasattr(solver, "terminate")):
+        raise ValueError(
+            f"the solver is a {type(solver).__name__}; expected one of optimistix, "
+            "like optimistix.Newton(1e-10, 1e-10). (The sparse linear solver is an "
+            "argument of build_model.)"
+        )
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
     inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
-    if any(map(is_traced, jax.tree.leaves(inside))):
-        solution = _compiled_equilibrium(model, bare, u0, settings)
+    if solver is not None or any(map(is_traced, jax.tree.leaves(inside))):
+        solution = _compiled_equilibrium(model, bare, u0, settings, solver)
         # An error would be a callback, which keeps programs out of JAX's cache.
         off = model.mechanism.is_off(model.mesh)
         result = RESULTS.where(off, RESULTS.other_points, solution.result)

@@ -80,5 +80,5 @@ def test_a_state_of_newton_keeps_its_types():
     types = lambda state: [
         (leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(state)
     ]
-    assert before.merit_before is not None
+    assert before.iterate.merit_before is not None
     assert types(after) == types(before)

@@ -1,0 +1,113 @@
+"""Solvers of optimistix in place of Newton's method, at each load."""
+
+import jax
+import numpy as np
+import optimistix as optx
+import pytest
+from mechanisms import LENGTH, NO_GRAVITY, SIDE, TIGHT, arrays, strip
+
+from softcal_jax.actuators import Cable, Guide
+from softcal_jax.bodies import RigidBody
+from softcal_jax.configurations import Configuration, ImposedDisplacement
+from softcal_jax.equilibrium import (
+    RESULTS,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
+from softcal_jax.fields import set_field
+from softcal_jax.materials import NeoHookean
+
+E = 3e5
+LAW = NeoHookean(E, 0.3)
+BEAM = build_model(strip(3), LAW, density=1000.0)
+LYING = arrays(BEAM, Configuration("lying", "x_min"))
+ANY = NewtonSettings(max_steps=5000)
+TOLERANCES = {"rtol": 1e-10, "atol": 1e-10}
+
+
+def guide(x, z, on=None):
+    return Guide((x, SIDE / 2, z), on) if on else (x, SIDE / 2, z)
+
+
+@pytest.mark.parametrize("solver", [optx.Newton, optx.Dogleg, optx.LevenbergMarquardt])
+def test_another_solver_finds_the_same_equilibrium(solver):
+    ours = solve_equilibrium(BEAM, LYING, settings=TIGHT)
+    theirs = solve_equilibrium(BEAM, LYING, solver=solver(**TOLERANCES), settings=ANY)
+    assert bool(theirs.converged)
+    assert int(theirs.n_negative) == 0
+    bent = np.max(np.abs(ours.displacement))
+    np.testing.assert_allclose(
+        theirs.displacement, ours.displacement, rtol=0, atol=1e-9 * bent
+    )
+
+
+def test_bodies_and_imposed_lengths():
+    """A cable that pulls a tip, another that stays slack, and the force of each."""
+    cables = (
+        Cable("top", (guide(-0.01, 0.04, "ground"), guide(LENGTH, SIDE, "tip"))),
+        Cable("low", (guide(-0.01, 0.0, "ground"), guide(LENGTH, 0.0, "tip"))),
+    )
+    model = build_model(
+        strip(3),
+        LAW,
+        density=1000.0,
+        bodies=[RigidBody("tip", "at 3")],
+        actuators=cables,
+    )
+    pulls = {"top": ImposedDisplacement(0.01), "low": ImposedDisplacement(-0.05)}
+    lane = arrays(model, Configuration("up", "x_min", actuation=pulls))
+    ours = solve_equilibrium(model, lane, settings=TIGHT)
+    theirs = solve_equilibrium(model, lane, solver=optx.Newton(**TOLERANCES))
+    assert bool(theirs.converged)
+    top, low = np.asarray(theirs.multipliers)
+    assert top > 0.0 == low
+    np.testing.assert_allclose(theirs.multipliers, ours.multipliers, rtol=1e-7)
+    np.testing.assert_allclose(
+        theirs.displacement, ours.displacement, rtol=0, atol=1e-9 * LENGTH
+    )
+
+
+def test_derivatives_do_not_depend_on_the_solver():
+    def height(E, solver):
+        model = set_field(BEAM, "E", E)
+        found = solve_equilibrium(model, LYING, solver=solver, settings=TIGHT)
+        return found.displacement[-1, 2]
+
+    slope = jax.value_and_grad(height)
+    ours, theirs = slope(E, None), slope(E, optx.Newton(rtol=1e-13, atol=1e-13))
+    np.testing.assert_allclose(theirs, ours, rtol=1e-7)
+
+
+def test_a_load_that_is_too_large_for_a_solver_is_cut():
+    """Newton's method of optimistix has no line search, and needs more of them."""
+    heavy = arrays(BEAM, Configuration("heavy", "x_min", gravity=(0.0, 0.0, -400.0)))
+    found = solve_equilibrium(BEAM, heavy, solver=optx.Newton(**TOLERANCES))
+    assert bool(found.converged)
+    assert int(found.load_steps) > 1
+    ours = solve_equilibrium(BEAM, heavy, settings=TIGHT)
+    np.testing.assert_allclose(
+        found.displacement, ours.displacement, rtol=0, atol=1e-9 * LENGTH
+    )
+
+
+def test_an_unstable_state_is_none():
+    """A straight column is in balance under any weight, and buckles under most."""
+    on_end = Configuration("on end", "x_min", gravity=(-3000.0, 0.0, 0.0))
+    found = solve_equilibrium(
+        BEAM, arrays(BEAM, on_end), solver=optx.Newton(**TOLERANCES)
+    )
+    assert found.result != RESULTS.converged
+    assert np.all(np.isnan(found.displacement))
+
+
+def test_what_is_no_solver_is_refused():
+    with pytest.raises(ValueError, match="optimistix"):
+        solve_equilibrium(BEAM, LYING, solver="klu")  # type: ignore[arg-type]
+
+
+def test_no_gravity_is_rest():
+    still = arrays(BEAM, Configuration("still", "x_min", gravity=NO_GRAVITY))
+    found = solve_equilibrium(BEAM, still, solver=optx.Newton(**TOLERANCES))
+    assert bool(found.converged)
+    assert not np.any(found.displacement)
