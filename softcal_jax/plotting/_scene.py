@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -190,10 +191,10 @@ def body_image(
             # the body at rest, the deformed one, obstacles in front of it, and the
             # outline faintly over all.
             actors = [*ghost, *body, *around]
-            layers = [
-                _layer(plotter, shown, actors)
-                for shown in (ghost, body, [*body, *around], ghost[1:])
-            ]
+            layer = partial(_layer, plotter, actors)
+            behind, alone, outline = map(layer, (ghost, body, ghost[1:]))
+            covered = layer([*body, *around]) if around else alone
+            layers = behind, alone, covered, outline
         finally:
             plotter.close()
     picture = np.full((height, width, 3), 255.0, np.float32)
@@ -202,7 +203,7 @@ def body_image(
     return np.rint(picture).astype(np.int32)
 
 
-def _layer(plotter: "pyvista.Plotter", shown: list, actors: list):
+def _layer(plotter: "pyvista.Plotter", actors: list, shown: list):
     """Render some of the actors: colour times opacity, and opacity from 0 to 1."""
     for actor in actors:
         actor.SetVisibility(actor in shown)
