@@ -82,20 +82,6 @@ def from_cell(text: str) -> str:
     return text[1:] if text.startswith("'") and text[1:].startswith(_FORMULA) else text
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Write rows of texts as lines, indented, columns aligned on the left.
-
-    A column without a text takes no room.
-    """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        cells = zip(row, widths, strict=True)
-        line = "  ".join(cell.ljust(width) for cell, width in cells if width)
-        lines.append(f"  {line.rstrip()}")
-    return lines
-
-
 UNNAMED_LOADS = "loads"  # name of the dead loads that have none of their own
 
 

@@ -44,14 +44,14 @@ def test_one_of_each_kind(every_kind, capsys):
     assert code == 0
     assert programs == []
     for line in (
-        "mesh 28 nodes, 36 linear tets; 60 x 20 x 20 mm",
+        "mesh 28 nodes, 36 linear tets; (60, 20, 20) mm in x, y, z",
         "volume 24 ml",
         # 24 g and the 10 g of the tip.
         "weight 333.4 mN (34 g)",
-        "tip 4 (60, 10, 10) 10 g",
-        "collar 4 (30, 10, 10) tip",
+        "tip 4 (60, 10, 10) mm 10 g",
+        "collar 4 (30, 10, 10) mm tip",
         # From (0, 10, 20) to (45, 10, 20) mm.
-        "left cable 45 mm long",
+        "left cable 45 mm",
         "hinged candidate 9.81 m/s2 along -z arm 20 deg, left 1 N, tip hinged",
         "imposed forces sensor, position moved by 59.9 mm from rest 0.3 mm",
         "middle, position moved by 5 mm from rest not stated: 1 mm as a weight",
@@ -101,13 +101,15 @@ def test_markers_of_recordings(tmp_path, capsys):
         code, lines, programs = checked(path, capsys, *option)
         assert (code, programs) == (0, [])
     for line in (
-        "tip (60, 10, 10) inside",
+        "tip (60, 10, 10) mm inside",
         "pulled held out 9.81 m/s2 along -z x_min (4 nodes) "
         "53.85 mN along (0.371, 0, -0.928) on x_max = 0.229 x weight",
         "softcal calibrate ready to run",
     ):
         assert line in lines
-    assert any(line.startswith("weight 2 markers moved by 0.57 to") for line in lines)
+    assert any(
+        line.startswith("weight 2 markers moved by 0.57 mm to") for line in lines
+    )
     picture.write_bytes(b"a picture of someone else")
     assert main(["check", str(path), *option]) == 2
     assert says(capsys.readouterr().err, "exists already ... another name")

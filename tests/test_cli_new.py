@@ -122,9 +122,9 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     table, folder = write_rows(tmp_path / "poses.csv"), tmp_path / "mine"
     assert new(folder, "--model", body, "--markers", table) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert says(text, "60 x 20 x 20 mm ... mm")
+    assert says(text, "(60, 20, 20) mm in x, y, z ... mm")
     assert says(text, "Poses: rest ... a")
-    assert "tip inside top 1 mm foot inside" in text
+    assert "tip = inside top = 1 mm foot = inside" in text
     assert {p.name for p in folder.iterdir()} == {
         "body.msh",
         "poses.csv",

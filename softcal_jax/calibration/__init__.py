@@ -5,7 +5,9 @@ from softcal_jax.calibration._calibrate import (
     as_sequence as as_sequence,
     build_problem as build_problem,
     calibrate as calibrate,
+    checked_problem as checked_problem,
     levenberg_marquardt as levenberg_marquardt,
+    number_of_starts as number_of_starts,
     profile_intervals as profile_intervals,
 )
 from softcal_jax.calibration._checked_intervals import (
@@ -23,7 +25,7 @@ from softcal_jax.calibration._evaluation import (
     Evaluator as Evaluator,
     evaluate as evaluate,
 )
-from softcal_jax.calibration._fit import Event as Event, Watch as Watch
+from softcal_jax.calibration._fit import Event as Event, Watch as Watch, fit as fit
 from softcal_jax.calibration._notes import (
     CalibrationWarning as CalibrationWarning,
     LeftOut as LeftOut,
@@ -31,6 +33,7 @@ from softcal_jax.calibration._notes import (
 )
 from softcal_jax.calibration._problem import (
     CalibrationSettings as CalibrationSettings,
+    FitOptions as FitOptions,
     linear_model as linear_model,
 )
 from softcal_jax.calibration._profile import (

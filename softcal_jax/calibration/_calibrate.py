@@ -72,8 +72,6 @@ def calibrate(
     starts: int | None = None,
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
-    deviations: Float[Array, "n_c n_p"] | None = None,
-    goals: bool = False,
     intervals: float | None = LEVEL,
     checkpoint: str | os.PathLike[str] | None = None,
     watch: Watch | Literal[False] | None = None,
@@ -105,11 +103,6 @@ def calibrate(
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
-        deviations: Known deviations of scaled parameters, a row per configuration:
-            specimens of one design, each with errors of its own. They need everything
-            else `exactly_known`, and take neither `validation` nor `intervals` [-].
-        goals: Whether measured values are goals: these may be alike in several
-            configurations, whereas a reading counts once.
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
@@ -144,29 +137,22 @@ def calibrate(
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
     space = as_space(parameters)
-    if starts is None:
-        starts = 1 if start is not None else default_starts(space)
-    check_starts(starts)
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
-    if deviations is not None and intervals is not None:
-        raise ValueError("specimens that deviate have no intervals: intervals=None.")
-    problem, repeated = _checked_problem(
+    problem, repeated = checked_problem(
         model,
         space,
         as_sequence(configurations),
         as_sequence(validation),
         newton=newton or NewtonSettings(),
         uncertain=uncertain or Uncertain(),
-        deviations=deviations,
-        goals=goals,
     )
     options = FitOptions(
         noise=noise,
         settings=settings or CalibrationSettings(),
         precision=precision,
-        starts=starts,
+        starts=number_of_starts(space, starts, start),
         seed=seed,
         start=start,
         intervals=intervals,
@@ -203,26 +189,34 @@ def _with_intervals(
         return replace(first.result, notes=notes, interrupted=True)
 
 
-def _checked_problem(
+def number_of_starts(
+    space: ParameterSpace, starts: int | None, start: Float[Array, " n_p"] | None
+) -> int:
+    """Return how many starts a fit has, by default as `calibrate` does."""
+    if starts is None:
+        starts = 1 if start is not None else default_starts(space)
+    check_starts(starts)
+    return starts
+
+
+def checked_problem(
     model: Model,
     space: ParameterSpace,
     fitted: tuple[Configuration, ...],
-    held_out: tuple[Configuration, ...],
+    held_out: tuple[Configuration, ...] = (),
     *,
     newton: NewtonSettings,
     uncertain: Uncertain,
-    deviations: Float[Array, "n_c n_p"] | None,
-    goals: bool,
+    goals: bool = False,
 ) -> tuple[Problem, str]:
     """Stack all configurations, and check them before the first solve.
 
-    Returns them, and which readings stand in several configurations, if any do.
+    Returns them, and which readings stand in several configurations, if any do: a
+    reading counts once, but `goals` may be alike.
     """
     poses = (*fitted, *held_out)
     problem, repeats = _problem(model, space, poses, newton, uncertain, goals)
     problem = replace(problem, n_held_out=len(held_out))
-    if deviations is not None:
-        problem = replace(problem, deviations=_deviations(problem, deviations))
     check_scopes(space, fitted)
     check_effects(problem.fitted)
     check_references(poses, problem.records, fitted=fitted)
@@ -236,25 +230,6 @@ def _checked_problem(
     if len(twice) < len(repeats):
         warnings.warn(repeated, CalibrationWarning, stacklevel=3)
     return problem, repeated
-
-
-def _deviations(
-    problem: Problem, given: Float[Array, "n_c n_p"]
-) -> Float[Array, "n_c n_p"]:
-    """Return the deviations of specimens, checked."""
-    given, n_c = jnp.asarray(given, float), len(problem.poses)
-    if given.shape != (n_c, len(problem.space.names)):
-        raise ValueError(
-            f"deviations must have a row for each of the {n_c} configurations, "
-            f"and a column for each of the {len(problem.space.names)} parameters; got "
-            f"shape {given.shape}."
-        )
-    if problem.n_held_out or problem.uncertain != exactly_known():
-        raise ValueError(
-            "deviations are of fitted specimens, and everything else must be known: "
-            "leave out `validation`, and give uncertain=exactly_known()."
-        )
-    return given
 
 
 def profile_intervals(

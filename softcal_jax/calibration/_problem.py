@@ -12,7 +12,13 @@ import numpy as np
 from softcal_jax._module import Module, key
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._qp import DAMPING
-from softcal_jax.fields import KINDS, AbstractFieldEntry, SetupParameter, kind_of
+from softcal_jax.fields import (
+    KINDS,
+    PRECISION,
+    AbstractFieldEntry,
+    SetupParameter,
+    kind_of,
+)
 from softcal_jax.inference import ErrorColumns, LinearModel, Whitened, no_errors, span
 from softcal_jax.unknowns import Problem, held_nodes, noise_columns
 
@@ -186,8 +192,8 @@ class FitOptions(NamedTuple):
 
     noise: Literal["estimated", "stated"]
     settings: CalibrationSettings
-    precision: float
-    starts: int
-    seed: int
-    start: Float[Array, " n_p"] | None
-    intervals: float | None
+    precision: float = PRECISION
+    starts: int = 1
+    seed: int = 0
+    start: Float[Array, " n_p"] | None = None
+    intervals: float | None = None

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
@@ -211,7 +212,7 @@ def _enough(
         )
         return True
 
-    instead = f"{1e3 * OFFSET:g} mm is taken; state `recordings`"
+    instead = f"{readable_values([OFFSET], 'm')} is taken; state `recordings`"
     what = "The offset of the recordings"
     if sought.offset and too_few(what, columns.offsets, FEWEST_OFFSETS, instead):
         sought = sought._replace(offset=False)
@@ -270,8 +271,9 @@ def _noise_notes(
             'noise = "stated", or the offset of recordings.'
         )
     if sought.offset:
-        size = 1e3 * float(np.max(noise.offset, initial=0.0))
-        notes.append(f"The residuals show recordings to be off by {size:.2g} mm.")
+        size = [float(np.max(noise.offset, initial=0.0))]
+        shown = readable_values(size, "m", digits=2)
+        notes.append(f"The residuals show recordings to be off by {shown}.")
     if sought.share.any():
         size = 100.0 * float(np.max(np.asarray(noise.share)[sought.share]))
         notes.append(

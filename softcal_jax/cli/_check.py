@@ -37,14 +37,15 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
     project = cli.load(args.project, show, solve=False)
     doubts = show.warnings
     from softcal_jax.project import quantities_as_read
-    from softcal_jax.report import outline, roles_of
+    from softcal_jax.report import outline, roles_of, text
 
     above = f" (warnings above: {len(doubts)})" if doubts else ""
     show.line(f"Nothing was solved. This is what the project describes{above}:")
     with cli.bad_input():
         quantities = quantities_as_read(args.project)
-        lines = list(outline(project, quantities))
-        for line in lines:
+        sections = filter(None, outline(project, quantities))
+        lines = "\n\n".join(text([section]) for section in sections).splitlines()
+        for line in ("", *lines):
             show.line(line)
         show.lap("outline")
         if not args.no_pictures:
@@ -139,7 +140,7 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 def mesh(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
-    from softcal_jax.report import mesh_lines
+    from softcal_jax.report import mesh_section, text
 
     cli.check_suffix(args.output, ".msh")
     picture = args.output.with_suffix(f".{args.pictures}")
@@ -156,7 +157,7 @@ def mesh(args: argparse.Namespace, show: cli.Display) -> None:
             plot_groups(made, picture, title=args.model.name)
             show.lap("picture")
     show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
-    for line in mesh_lines(made):
+    for line in text([mesh_section(made)]).splitlines():
         show.line(line)
     drawn = "" if args.no_pictures else f", picture in {picture}"
     show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")

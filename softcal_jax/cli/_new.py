@@ -87,13 +87,13 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
-    from softcal_jax._text import aligned
     from softcal_jax.export import readable_values
+    from softcal_jax.report import Section, Table, text
 
     body, recorded = findings.body, findings.recorded
-    sides = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(body.mesh.points, axis=0))
+    sides = readable_values(np.ptp(body.mesh.points, axis=0).tolist(), "m")
     unit = f", if its unit is {body.unit}" if body.unit_guessed else ""
-    yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
+    yield f"Body: {sides} in x, y, z{unit}; {body.mesh.n_tets} tets."
     held = "an end of the body" if findings.held.definition else "by its name"
     yield f"Held: {findings.held.group}, {held}."
     for one in findings.actuated:
@@ -112,9 +112,9 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
         "Missing: where the markers are glued. Gravity acts in every reading, so the "
         "nearest points of the mesh are guessed, this far from those at rest:"
     )
-    off = lambda marker: readable_values([marker.distance], "m", digits=3)
-    markers = findings.markers
-    yield from aligned([(m.name, off(m) if m.distance else "inside") for m in markers])
+    rows = [(m.name, m.distance or "inside", "") for m in findings.markers]
+    table = Table.of("", "marker | off the mesh [m] | ", rows, digits=3)
+    yield from text([Section("markers", "", tables=(table,))]).splitlines()
     if findings.own_frame:
         yield (
             "That is too far: the recording has its own frame. Follow the remarks at "
@@ -172,6 +172,7 @@ examples:
 
 
 def tags(args: argparse.Namespace, show: Display) -> None:
+    from softcal_jax._units import readable_values
     from softcal_jax.exchange.camera import write_tags
 
     cli.check_new(args.output, force=args.force)
@@ -181,8 +182,9 @@ def tags(args: argparse.Namespace, show: Display) -> None:
         n = write_tags(args.output, size=size, **options)
     numbers = [*range(args.first, args.first + args.count)]
     show.document({"file": str(args.output), "tags": numbers, "pages": n})
+    side = readable_values([size], "m")
     show.line(
-        f"Wrote tags {numbers[0]} to {numbers[-1]} of {1e3 * size:g} mm and the board "
+        f"Wrote tags {numbers[0]} to {numbers[-1]} of {side} and the board "
         f"to {args.output}: {n} pages. Print them at 100 %."
     )
 

@@ -13,6 +13,7 @@ from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._text import UNNAMED_LOADS, check_unique, listed, name_key
 from softcal_jax._typing import Float, HostArray, Int, is_traced
+from softcal_jax._units import readable_values
 from softcal_jax.bodies import KINDS, BodyStateArrays, optional, three_numbers
 from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
@@ -256,9 +257,10 @@ def _check_outside(
     depths = depths_at_start(contacts, standing(mechanism, bodies))
     for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
         if depth > contacts.scale:
+            deep = readable_values([float(depth)], "m", digits=3)
             raise ValueError(
                 f"configuration {configuration!r}: before the load the body lies "
-                f"{1e3 * depth:.3g} mm inside the obstacle {name!r}. Let it start "
+                f"{deep} inside the obstacle {name!r}. Let it start "
                 "beside the body: give the state of the obstacle another `start`, or "
                 "its body another origin."
             )

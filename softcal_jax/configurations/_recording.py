@@ -8,6 +8,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._text import check_unique
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.configurations._markers import MarkerTable, index_of
 
 STEP = 0.05
@@ -307,11 +308,12 @@ def find_plateau(
     start = int(breaks[breaks < best[0]].max(initial=-1)) + 1
     stop = int(breaks[breaks >= best[0]].min(initial=len(times)))
     if stop < best[1]:
-        worst = 1e3 * float(np.nanmax(off[best[0] : best[1]]))
+        worst = [float(np.nanmax(off[best[0] : best[1]]))]
+        far = readable_values(worst, "m", digits=3)
         raise ValueError(
             f"there is no plateau of {length:g} s: even in the stillest stretch, "
             f"between {times[best[0]]:g} and {times[best[1] - 1]:g} s, a marker is "
-            f"{worst:.3g} mm off its mean, by more than {100 * STILL:g} % of the "
+            f"{far} off its mean, by more than {100 * STILL:g} % of the "
             "largest motion and its noise. Ask for a shorter one, or say `between` "
             "which times to average."
         )

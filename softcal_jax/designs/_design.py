@@ -8,16 +8,20 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._process import progress_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
     CalibrationWarning,
     Event,
+    FitOptions,
     SearchProgress,
     Watch,
     as_sequence,
-    calibrate,
+    checked_problem,
+    fit,
+    number_of_starts,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import GoalFit, Limits
@@ -156,8 +160,8 @@ def design(
             "robust: nothing that is designed has errors of printing; leave it out."
         )
     tell = watch or (lambda _: None)
-    # A result of a fit is no design yet, and a design has no error budget.
-    is_step = lambda event: not isinstance(event, str | CalibrationResult)
+    # What is under way is said here.
+    is_step = lambda event: not isinstance(event, str)
     of_fit = _part_of(watch, is_step)
     options = seed, settings or LOOP, newton, of_fit
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
@@ -276,9 +280,12 @@ def _calibrated(
     asked: _Asked,
     space: ParameterSpace | None,
     goals: Sequence[Configuration],
-    **more: Any,
+    *,
+    deviations: Float[Array, "n_c n_p"] | None = None,
+    starts: int | None = None,
+    start: Float[Array, " n_p"] | None = None,
 ) -> CalibrationResult:
-    """Fit some goals."""
+    """Fit some goals; with `deviations` each is of a specimen of its own."""
     if space is None:
         whole = ParameterSpace(asked.commands)
     else:
@@ -287,23 +294,26 @@ def _calibrated(
         whole = within(asked.foam, asked.model, whole)
     if asked.change is not None:
         whole = replace(whole, likeness=asked.change.likeness(asked.model, whole))
-    with warnings.catch_warnings():
+    options = FitOptions(
+        noise="stated",
+        settings=asked.settings,
+        starts=number_of_starts(whole, starts, start),
+        seed=asked.seed,
+        start=start,
+    )
+    with warnings.catch_warnings(), progress_line(wanted=asked.watch is None) as line:
         # That goals are fewer than parameters is the rule here.
         warnings.simplefilter("ignore", CalibrationWarning)
-        return calibrate(
+        problem, _ = checked_problem(
             asked.model,
             whole,
-            goals,
-            noise="stated",
+            tuple(goals),
+            newton=asked.newton or NewtonSettings(),
             uncertain=exactly_known(),
             goals=True,
-            settings=asked.settings,
-            newton=asked.newton,
-            seed=asked.seed,
-            intervals=None,
-            watch=asked.watch,
-            **more,
         )
+        problem = replace(problem, deviations=deviations)
+        return fit(problem, options, asked.watch or line).result
 
 
 def _alternatives(

@@ -12,6 +12,7 @@ import numpy as np
 
 from softcal_jax._lanes import stacked, unstacked
 from softcal_jax._typing import Array, Float
+from softcal_jax._units import readable_values
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tet_states
 from softcal_jax.equilibrium._continuation import (
@@ -302,7 +303,7 @@ def _trouble(model: Model, lane: ConfigurationArrays, state: LoadState) -> str:
         return ""
     det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)
     corners = np.asarray(model.mesh.tets)[np.argmin(det), :4]
-    x, y, z = 1e3 * np.asarray(model.mesh.points)[corners].mean(axis=0)
+    place = np.asarray(model.mesh.points)[corners].mean(axis=0).tolist()
     works, actuators = loads_work(model, lane, state.stray), model.mechanism.actuators
     each = zip(actuators.kinds, actuators.names, strict=True)
     names = "weight", "dead load", *(f"{kind.noun} {name!r}" for kind, name in each)
@@ -310,7 +311,7 @@ def _trouble(model: Model, lane: ConfigurationArrays, state: LoadState) -> str:
     by = f"{names[most]} does most of the work; " if works[most] > 0.0 else ""
     return (
         f"load steps cut to {100.0 * float(state.increment):.2g} % ({by}tets at "
-        f"({x:.3g}, {y:.3g}, {z:.3g}) mm deform most)"
+        f"{readable_values(place, 'm', digits=3)} deform most)"
     )
 
 

@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module, if_any
 from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.materials._constants import (
     Constant,
     as_components,
@@ -150,10 +151,10 @@ def frames_around(
     radius = np.linalg.norm(away, axis=1)
     bad = np.flatnonzero(~(radius > _ON_AXIS * np.max(radius, initial=1e-300)))
     if bad.size:
-        where = ", ".join(f"{1e3 * x:.4g}" for x in np.asarray(points)[bad[0]])
+        where = readable_values(np.asarray(points, float)[bad[0]].tolist(), "m")
         raise ValueError(
             f"{bad.size} of {len(radius)} tets have their centroid on the axis, where "
-            f"there is no direction around it (index {bad[0]}, at ({where}) mm): move "
+            f"there is no direction around it (index {bad[0]}, at {where}): move "
             "the axis, or give these tets directions of their own."
         )
     radial = away / radius[:, None]

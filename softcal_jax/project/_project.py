@@ -12,6 +12,7 @@ from softcal_jax import calibration as calibrations, identifiability
 from softcal_jax._module import Module
 from softcal_jax._text import listed
 from softcal_jax._typing import Array, Float
+from softcal_jax._units import readable
 from softcal_jax.calibration import CalibrationResult, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
@@ -162,7 +163,9 @@ class Project(Module):
         )
         notes, fits = result.notes, self.registrations.items()
         if fits:
-            rms = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
+            rms = ", ".join(
+                f"{name} {readable(fit.rms, 'distance')}" for name, fit in fits
+            )
             notes += (f"Camera frames registered to the mesh with an rms of: {rms}.",)
         return dataclasses.replace(result, source=self.source, notes=notes)
 

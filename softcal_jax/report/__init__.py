@@ -18,7 +18,7 @@ from softcal_jax.report._load import (
 )
 from softcal_jax.report._outline import (
     control_point_sets as control_point_sets,
-    mesh_lines as mesh_lines,
+    mesh_section as mesh_section,
     outline as outline,
     roles_of as roles_of,
 )

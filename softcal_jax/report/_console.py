@@ -78,7 +78,13 @@ def _lines(table: Table) -> Iterator[Text]:
 def _drawn(table: Table, box: Box | None) -> Drawn:
     """Draw a table; its title stands above it where it has a frame."""
     title = Text(table.title, style="bold")
-    drawn = Drawn(title=title, title_justify="left", title_style="", box=box)
+    drawn = Drawn(
+        title=title,
+        title_justify="left",
+        title_style="",
+        box=box,
+        show_header=any(column.title for column in table.columns),
+    )
     for k, column in enumerate(table.columns):
         # Text, not str, which would read a name like "[a]" as markup.
         justify = "left" if k == 0 or column.holds_words else "right"

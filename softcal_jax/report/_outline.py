@@ -1,7 +1,7 @@
-"""What a project or a mesh describes, in aligned lines: before anything is solved."""
+"""What a project or a mesh describes, before anything is solved."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._text import aligned
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._tree import Section, Table
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -38,8 +38,6 @@ _MOST_ALIKE = 4  # quantities of one table and unit that are listed one by one
 _QUANTITIES = {"point": "position", "turn": "orientation", "scalar": "value"}
 """Words for the quantities of effectors that are not shown by their own name."""
 
-Rows = Iterable[Sequence[str]]
-
 
 def roles_of(project: Project) -> dict[str, str]:
     """Return the role of each configuration and candidate in words, by its name."""
@@ -62,78 +60,84 @@ def control_point_sets(project: Project) -> dict[str, ControlPoints]:
 
 def outline(
     project: Project, quantities: Sequence[QuantityAsRead] = ()
-) -> Iterator[str]:
+) -> tuple[Section, ...]:
     """Describe a project that was read, without solving or compiling anything.
 
     Args:
         project: The project.
         quantities: Its quantities as they were typed.
 
-    Yields:
-        Lines of text, in sections: first the guesses of `softcal new` that nobody has
-        confirmed, last the commands for which the project is complete.
+    Returns:
+        Sections, not all of which say anything: first the guesses of `softcal new` that
+        nobody has confirmed, last the commands for which the project is complete.
     """
     model, mesh = project.model, project.model.mesh
     posed = (*project.configurations, *project.candidates)
-    guesses = guesses_left(project.path)
-    rows = [(f"line {guess.line}", guess.text, guess.remark) for guess in guesses]
-    yield from _section("Guesses to change or confirm", (), rows)
     lanes = configuration_lanes(mesh, posed, model.mechanism)
-    each = zip(
-        posed,
-        jax.device_get([lane_of(lanes.arrays, i) for i in range(len(posed))]),
-        strict=True,
-    )
+    states = jax.device_get([lane_of(lanes.arrays, i) for i in range(len(posed))])
+    each = zip(posed, states, strict=True)
     left_out = omission_sentences(
         o for c, lane in each for o in omissions(model, c, lane)
     )
-    yield from _section("Left out of the model", (), [(text,) for text in left_out])
-    yield from _section("Model", (), _model(model))
-    head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
-    yield from _section("Rigid bodies", head, _bodies(model))
-    head = ("name", "shape", "coefficient of friction")
-    yield from _section("Obstacles", head, _obstacles(model))
-    yield from _section("Actuators", ("name", "kind", "at rest"), _actuators(model))
-    head = ("name", "at rest [mm]", "mesh", "")
-    yield from _section("Markers", head, _markers(mesh, posed))
-    for fields, points in control_point_sets(project).items():
-        placed = _placed(mesh, points.names, points.positions)
-        rows = [(str(i), *place) for i, place in enumerate(placed, 1)]
-        head = ("", "name", "position [mm]", "mesh")
-        yield from _section(f"Control points of {fields}", head, rows)
     roles = roles_of(project)
-    rows = [_configuration(model, c, roles[c.name]) for c in posed]
-    head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
-    yield from _section("Configurations", head, rows)
-    asked = (*project.validation, *project.asked.goals)
-    rows = [(c.name, beyond(project.calibration, c)) for c in asked]
-    rows = [row for row in rows if row[1] and project.calibration]
-    yield from _section("Beyond what is fitted", (), rows)
-    head = ("configuration", "what", "value", "standard deviation")
-    yield from _section("Measured", head, _measured(posed, lanes))
-    rows = [(k, f"{1e3 * r.rms:.2f} mm") for k, r in project.registrations.items()]
-    head = ("configuration", "rms residual at the markers")
-    yield from _section("Camera frames, registered to the mesh", head, rows)
-    head = ("name", "start", "lower", "upper", "scale", "prior")
-    yield from _section("Parameters", head, map(_parameter, project.parameters))
-    yield from _section("Quantities as read, in SI and mm", (), _as_read(quantities))
-    yield from _section("Commands", (), _commands(project))
-
-
-def _section(title: str, head: Sequence[str], rows: Rows) -> Iterator[str]:
-    """Align the columns of rows below a title; nothing without rows."""
-    rows = list(rows)
-    if rows:
-        yield from ("", title, *aligned([*([head] if head else []), *rows]))
+    beyond_fit = [
+        (c.name, beyond(project.calibration, c))
+        for c in (*project.validation, *project.asked.goals)
+        if project.calibration
+    ]
+    guesses = guesses_left(project.path)
+    rows = [(f"line {guess.line}", guess.text, guess.remark) for guess in guesses]
+    names, places, axes = _markers(posed)
+    tables = [
+        Table.of("Guesses to change or confirm", " |  | ", rows),
+        Table.of("Left out of the model", "", [(text,) for text in left_out]),
+        Table.of("Model", " | ", _model(model)),
+        Table.of(
+            "Rigid bodies",
+            "name | nodes | origin [m] | own mass [kg] | tied to",
+            _bodies(model),
+        ),
+        Table.of(
+            "Obstacles", "name | shape | coefficient of friction", _obstacles(model)
+        ),
+        _actuators(model),
+        _placed("Markers", names, places, mesh, axes),
+    ]
+    for fields, points in control_point_sets(project).items():
+        names = [f"{i} {name}".rstrip() for i, name in enumerate(points.names, 1)]
+        places = np.asarray(points.positions)
+        tables.append(_placed(f"Control points of {fields}", names, places, mesh))
+    tables += [
+        Table.of(
+            "Configurations",
+            "name | role | gravity | held | loads | actuators and bodies",
+            [_configuration(model, c, roles[c.name]) for c in posed],
+        ),
+        Table.of("Beyond what is fitted", " | ", [row for row in beyond_fit if row[1]]),
+        Table.of(
+            "Measured",
+            "configuration | what | value | standard deviation",
+            _measured(posed, lanes),
+        ),
+        Table.of(
+            "Camera frames, registered to the mesh",
+            "configuration | rms residual at the markers [distance]",
+            [(name, fit.rms) for name, fit in project.registrations.items()],
+        ),
+        _parameters(project.parameters),
+        Table.of("Quantities as read, in SI and mm", " |  | ", _as_read(quantities)),
+        Table.of("Commands", " | ", _commands(project)),
+    ]
+    return tuple(Section(t.title, t.title, tables=(t,)) for t in tables)
 
 
 def _model(model: Model) -> Iterator[tuple[str, str]]:
     mesh = model.mesh
-    size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points, axis=0))
-    yield "mesh", f"{mesh.words}; {size} mm"
-    yield "volume", _read(float(volumes(mesh).sum()), "m3")
-    weight = _read(model.mass * STANDARD_GRAVITY, "N")
-    yield "weight", f"{weight} ({1e3 * model.mass:.4g} g)"
+    size = readable_values(np.ptp(mesh.points, axis=0).tolist(), "m")
+    yield "mesh", f"{mesh.words}; {size} in x, y, z"
+    yield "volume", readable_values([float(volumes(mesh).sum())], "m3")
+    weight = readable_values([model.mass * STANDARD_GRAVITY], "N")
+    yield "weight", f"{weight} ({readable_values([model.mass], 'kg')})"
     density = np.unique(np.asarray(model.density))
     ends = dict.fromkeys([density[0], density[-1]])
     yield "density", f"{' to '.join(f'{d:.4g}' for d in ends)} kg/m3"
@@ -142,17 +146,13 @@ def _model(model: Model) -> Iterator[tuple[str, str]]:
         yield "note", "linear tets lock in bending: moduli hold only for this mesh"
 
 
-def _bodies(model: Model) -> Iterator[tuple[str, ...]]:
+def _bodies(model: Model) -> Iterator[tuple[Any, ...]]:
     bodies = model.mechanism.bodies
     for k, name in enumerate(bodies.names):
         owner, mass = int(bodies.owner[k]), float(np.asarray(bodies.mass)[k])
-        yield (
-            name,
-            str(int((bodies.body == k).sum())),
-            _in_mm(bodies.origin[k]),
-            f"{1e3 * mass:.4g} g" if mass else "",
-            "" if owner == k else bodies.names[owner],
-        )
+        tied = "" if owner == k else bodies.names[owner]
+        nodes = str(int((bodies.body == k).sum()))
+        yield name, nodes, np.asarray(bodies.origin[k]), mass or "", tied
 
 
 def _obstacles(model: Model) -> Iterator[tuple[str, ...]]:
@@ -162,42 +162,50 @@ def _obstacles(model: Model) -> Iterator[tuple[str, ...]]:
     yield from zip(contacts.names, shapes, friction, strict=True)
 
 
-def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
+def _actuators(model: Model) -> Table:
     actuators, x = model.mechanism.actuators, model.mechanism.points
     geometry = actuator_geometry(actuators, x)
     lengths = np.linalg.norm(geometry.segments[:, 1] - geometry.segments[:, 0], axis=1)
     volumes_of = enclosed_volumes(actuators.groups, x)
     kinds = zip(actuators.names, actuators.kinds, strict=True)
+    rows, units = [], []
     for a, (name, kind) in enumerate(kinds):
-        size, segments = "", lengths[geometry.segment_owner == a]
-        if segments.size:
-            size = f"{_read(float(segments.sum()), 'm')} long"
-        elif a in volumes_of:
-            size = _read(volumes_of[a], "m3")
-        yield name, kind.noun, size
+        segments = lengths[geometry.segment_owner == a]
+        size = float(segments.sum()) if segments.size else volumes_of.get(a, "")
+        rows.append((name, kind.noun, size))
+        units.append("m" if segments.size else "m3")
+    return Table.of("Actuators", "name | kind | at rest [*]", rows, units=units)
 
 
 def _placed(
-    mesh: TetMesh, names: Sequence[str], positions: Float[Array | HostArray, "n 3"]
-) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, the place and the distance from the mesh of each point."""
-    places = np.asarray(positions)
-    off = locate(mesh, places, max_distance=math.inf).distance
-    for name, place, distance in zip(names, places, off, strict=True):
-        text = readable_values([float(distance)], "m", digits=3)
-        yield name, _in_mm(place), f"{text} off" if distance else "inside"
+    title: str,
+    names: Sequence[str],
+    positions: Float[HostArray, "n 3"],
+    mesh: TetMesh,
+    notes: Sequence[str] = (),
+) -> Table:
+    """List points at rest, and how far they are off the mesh."""
+    off = locate(mesh, positions, max_distance=math.inf).distance
+    rows = [
+        (name, place, float(distance) or "inside", note)
+        for name, place, distance, note in zip(
+            names, positions, off, notes or [""] * len(names), strict=True
+        )
+    ]
+    return Table.of(title, "name | at rest [m] | off the mesh [m] | ", rows, digits=5)
 
 
 def _markers(
-    mesh: TetMesh, posed: Sequence[Configuration]
-) -> Iterable[tuple[str, ...]]:
+    posed: Sequence[Configuration],
+) -> tuple[list[str], Float[HostArray, "n 3"], list[str]]:
     """List the markers of all configurations, equal ones once."""
-    rows = []
+    rows = {}
     for markers in [c.markers for c in posed if c.markers is not None]:
         axes = "" if markers.axes == "xyz" else f"only {markers.axes}"
-        placed = _placed(mesh, markers.names, markers.positions)
-        rows += [(*place, axes) for place in placed]
-    return dict.fromkeys(rows)
+        for name, place in zip(markers.names, markers.positions, strict=True):
+            rows[name, *np.asarray(place).tolist(), axes] = None
+    places = np.array([row[1:4] for row in rows]).reshape(-1, 3)
+    return [row[0] for row in rows], places, [row[4] for row in rows]
 
 
 def _configuration(model: Model, c: Configuration, role: str) -> tuple[str, ...]:
@@ -227,7 +235,7 @@ def _load(load: AbstractLoad, mesh: TetMesh, weight: float) -> str:
     where, point = getattr(load, "where", None), getattr(load, "point", None)
     on = f" on {where}" if isinstance(where, str) else ""
     if not on and point is not None:
-        on = f" at {_in_mm(np.asarray(point))} mm"
+        on = f" at {readable_values(np.asarray(point).tolist(), 'm')}"
     times = f" = {np.linalg.norm(force) / weight:.3g} x weight" if weight else ""
     return f"{_sized(force, 'N')}{on}{times}"
 
@@ -312,8 +320,8 @@ def _motion(
     if not moved:
         return "not measured"
     since = "since the reference" if before else "from rest"
-    ends = (f"{round(1e3 * end, 6):.3g}" for end in (min(moved), max(moved)))
-    return f"moved by {' to '.join(dict.fromkeys(ends))} mm {since}"
+    ends = (readable_values([end], "m", digits=3) for end in (min(moved), max(moved)))
+    return f"moved by {' to '.join(dict.fromkeys(ends))} {since}"
 
 
 def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
@@ -325,14 +333,18 @@ def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) ->
     return readable_values(list(record.measured), record.unit)
 
 
-def _parameter(q: Parameter) -> tuple[str, ...]:
-    prior = "none"
-    if q.prior_std is not None:
-        std = float(q.prior_std)
-        share = f"{100 * std:.3g} %"
-        prior = f"+- {share if q.scale == 'log' else _read(std, q.unit)}"
-    values = (_read(float(v), q.unit) for v in (q.start, q.lower, q.upper))
-    return (q.name, *values, f"{q.scale}, periodic" if q.periodic else q.scale, prior)
+def _parameters(parameters: Sequence[Parameter]) -> Table:
+    rows = []
+    for q in parameters:
+        prior = "none"
+        if q.prior_std is not None:
+            share = q.scale == "log"
+            size = readable_values([float(q.prior_std)], "percent" if share else q.unit)
+            prior = f"+- {size.rstrip()}"
+        scale = f"{q.scale}, periodic" if q.periodic else q.scale
+        rows.append((q.name, *map(float, (q.start, q.lower, q.upper)), scale, prior))
+    heads = "name | start [*] | lower [*] | upper [*] | scale | prior"
+    return Table.of("Parameters", heads, rows, units=[q.unit for q in parameters])
 
 
 def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
@@ -347,7 +359,7 @@ def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
             yield from ((q.key, f'"{q.typed}"', q.read) for q in members)
 
 
-def _commands(project: Project) -> Rows:
+def _commands(project: Project) -> list[tuple[str, str]]:
     """Say for which commands the project has all that is needed."""
     rows = []
     for command, check in (
@@ -375,32 +387,34 @@ def _commands(project: Project) -> Rows:
     return rows
 
 
-def mesh_lines(mesh: TetMesh) -> list[str]:
-    """Describe a mesh and its groups, a line each; surfaces have a point on them.
+def mesh_section(mesh: TetMesh) -> Section:
+    """Describe a mesh and its groups; surfaces have a point on them.
 
     Points are written as a project file has them.
     """
     corners = mesh.points[mesh.tets[:, :4]]
     edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
     mean = readable_values([float(edges.mean())], "m", digits=3)
-    volume = _read(float(volumes(mesh).sum()), "m3")
-    line = f"{mesh.words}, mean edge length {mean}, volume {volume}"
+    volume = readable_values([float(volumes(mesh).sum())], "m3")
+    text = f"{mesh.words}, mean edge length {mean}, volume {volume}"
     rows = []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)
         areas = face_shares(mesh, faces).sum(axis=1)
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
-        place = ", ".join(f"{1e3 * x:.4g}" for x in point)
-        text = f'{1e6 * areas.sum():.1f} mm2, a point on it: "({place}) mm"'
-        rows.append((name, text))
+        place = readable_values(point.tolist(), "m")
+        rows.append((name, float(areas.sum()), f'a point on it: "{place}"', "m2"))
     for name, tets in mesh.tet_groups.items():
-        volume = _read(float(volumes(mesh)[tets].sum()), "m3")
-        rows.append((name, f"{len(tets)} tets, {volume}"))
+        volume = float(volumes(mesh)[tets].sum())
+        rows.append((name, volume, f"{len(tets)} tets", "m3"))
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
-            rows.append((name, f"{len(nodes)} nodes"))
-    return [line, *aligned(rows)]
+            rows.append((name, f"{len(nodes)} nodes", "", ""))
+    *columns, units = zip(*rows, strict=True) if rows else ((),) * 4
+    groups = zip(*columns, strict=True)
+    table = Table.of("", "name | size [*] | ", groups, units=units)
+    return Section("mesh", "", (text,), (table,))
 
 
 def _sized(vector: Any, unit: str) -> str:
@@ -415,11 +429,3 @@ def _sized(vector: Any, unit: str) -> str:
     if abs(along[axis]) > 1.0 - 1e-9:
         return f"{text} along {'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
     return f"{text} along ({', '.join(f'{v:.3g}' for v in along + 0.0)})"
-
-
-def _in_mm(place: HostArray) -> str:
-    return f"({', '.join(f'{1e3 * x + 0.0:.5g}' for x in place)})"
-
-
-def _read(value: float, unit: str) -> str:
-    return readable_values([value], unit).rstrip()

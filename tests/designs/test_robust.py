@@ -1,21 +1,23 @@
 """Designs for the least expected error of prints, over specimens of one design."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from wording import says
 
-from softcal_jax.calibration import calibrate
+from softcal_jax.calibration import (
+    CalibrationSettings,
+    FitOptions,
+    build_problem,
+    fit,
+)
 from softcal_jax.configurations import Configuration, Markers, SurfaceForce
 from softcal_jax.designs import Printing, design, specimens
 from softcal_jax.equilibrium import build_model
 from softcal_jax.export import headline
-from softcal_jax.fields import (
-    ControlPointParameters,
-    ControlPoints,
-    ParameterSpace,
-    exactly_known,
-)
+from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
 from softcal_jax.robots import synthetic_measurements
@@ -70,40 +72,17 @@ def test_specimens_have_the_mean_and_the_covariance_of_prints(seed):
 
 def test_a_calibration_to_specimens_that_deviate():
     """Three prints, each off by known factors: what they have in common is found."""
-    off = np.array([[0.2, -0.1, 0.1], [-0.3, 0.1, -0.05], [0.1, 0.2, 0.3]])
+    off = jnp.array([[0.2, -0.1, 0.1], [-0.3, 0.1, -0.05], [0.1, 0.2, 0.3]])
     shared = np.array([np.log(7e5), np.log(3.5e5), 0.25])
     measured = []
     for k, row in enumerate(off):
         E_t, E_l, theta = shared + row
         measured += read(values(np.exp(E_t), np.exp(E_l), theta), pose(f"print {k}"))
-    found = calibrate(
-        MODEL,
-        SPACE,
-        measured,
-        deviations=jnp.asarray(off),
-        noise="stated",
-        uncertain=exactly_known(),
-        intervals=None,
-    )
+    problem = replace(build_problem(MODEL, SPACE, measured), deviations=off)
+    options = FitOptions("stated", CalibrationSettings())
+    found = fit(problem, options, None).result
     assert found.converged
     np.testing.assert_allclose(found.z, shared, atol=1e-5)
-
-
-def test_deviations_that_do_not_fit():
-    measured = read(values(8e5, 3e5, 0.3), pose())
-    more = read(values(8e5, 3e5, 0.3), pose("more"))
-    for options, message in (
-        ({"deviations": jnp.zeros((2, 3))}, "each of the 1 config.*each of the 3 par"),
-        (
-            {"deviations": jnp.zeros((2, 3)), "validation": more},
-            "leave out `validation`",
-        ),
-        ({"deviations": jnp.zeros((1, 3)), "uncertain": None}, "exactly_known"),
-        ({"deviations": jnp.zeros((1, 3)), "intervals": 0.95}, "intervals=None"),
-    ):
-        known = {"uncertain": exactly_known(), "intervals": None}
-        with pytest.raises(ValueError, match=message):
-            calibrate(MODEL, SPACE, measured, **(known | options))
 
 
 def test_a_print_without_an_equilibrium_does_not_lose_the_design(monkeypatch):
