@@ -114,7 +114,7 @@ class Table(NamedTuple):
             digits: Significant digits of values in an SI unit.
             about: Further attributes of columns, like their `tones`, by their heads.
         """
-        found = [re.fullmatch(r"(.*?)(?: \[(.+)\])?", h) for h in heads.split(" | ")]
+        found = [re.fullmatch(r"(.*?) ?(?:\[(.+)\])?", h) for h in heads.split(" | ")]
         parts = [match.groups("") for match in found if match is not None]
         every = [*zip(*rows, strict=True)] or [()] * len(parts)
         columns = (

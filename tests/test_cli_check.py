@@ -44,7 +44,7 @@ def test_one_of_each_kind(every_kind, capsys):
     assert code == 0
     assert programs == []
     for line in (
-        "mesh 28 nodes, 36 linear tets; (60, 20, 20) mm in x, y, z",
+        "mesh 28 nodes, 36 linear tets; (60, 20, 20) mm",
         "volume 24 ml",
         # 24 g and the 10 g of the tip.
         "weight 333.4 mN (34 g)",

@@ -30,7 +30,7 @@ def test_the_groups_of_a_project(block, capsys):
     (line,) = (row for row in text.splitlines() if row.lstrip().startswith("wall "))
     point = line.split('"')[1]
     assert point.endswith(" mm")
-    assert "1000000.0 mm2" in line  # four sides of 2/9 and the end of 1/9 m2
+    assert "1 m2" in line  # four sides of 2/9 and the end of 1/9 m2
     # Written again only where asked.
     again = ["mesh", str(block / "project.toml"), "-o", str(out)]
     assert main(again) == 2

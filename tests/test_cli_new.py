@@ -122,7 +122,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     table, folder = write_rows(tmp_path / "poses.csv"), tmp_path / "mine"
     assert new(folder, "--model", body, "--markers", table) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert says(text, "(60, 20, 20) mm in x, y, z ... mm")
+    assert says(text, "(60, 20, 20) mm, ... mm")
     assert says(text, "Poses: rest ... a")
     assert "tip = inside top = 1 mm foot = inside" in text
     assert {p.name for p in folder.iterdir()} == {
@@ -154,7 +154,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     listed = text[text.index("Guesses") :]
     listed = listed[: listed.index("Model")]
     for guess in (
-        'length_unit = "mm" a guess ... 60 x 20 x 20 mm',
+        'length_unit = "mm" a guess ... (60, 20, 20) mm',
         "[groups.held] ... farther from the markers",
         'E = "200 kPa" the start',
         'name = "rest" ... gravity',

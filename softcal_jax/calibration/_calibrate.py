@@ -140,6 +140,7 @@ def calibrate(
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
+    n_starts = number_of_starts(space, starts, start)
     problem, repeated = checked_problem(
         model,
         space,
@@ -152,7 +153,7 @@ def calibrate(
         noise=noise,
         settings=settings or CalibrationSettings(),
         precision=precision,
-        starts=number_of_starts(space, starts, start),
+        starts=n_starts,
         seed=seed,
         start=start,
         intervals=intervals,
@@ -192,7 +193,7 @@ def _with_intervals(
 def number_of_starts(
     space: ParameterSpace, starts: int | None, start: Float[Array, " n_p"] | None
 ) -> int:
-    """Return how many starts a fit has, by default as `calibrate` does."""
+    """Return `starts`, checked, or by default the number that `calibrate` takes."""
     if starts is None:
         starts = 1 if start is not None else default_starts(space)
     check_starts(starts)

@@ -93,7 +93,7 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     body, recorded = findings.body, findings.recorded
     sides = readable_values(np.ptp(body.mesh.points, axis=0).tolist(), "m")
     unit = f", if its unit is {body.unit}" if body.unit_guessed else ""
-    yield f"Body: {sides} in x, y, z{unit}; {body.mesh.n_tets} tets."
+    yield f"Body: {sides}{unit}; {body.mesh.n_tets} tets."
     held = "an end of the body" if findings.held.definition else "by its name"
     yield f"Held: {findings.held.group}, {held}."
     for one in findings.actuated:

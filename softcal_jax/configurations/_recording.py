@@ -221,8 +221,8 @@ class Recording(Module):
             window=(float(times[0]), float(times[-1])),
             doubts={
                 self.names[j]: f"{window}: marker {self.names[j]!r} is in two places; "
-                f"it scatters by {1e3 * np.sqrt(v[j]):.3g} mm. Labels were exchanged, "
-                "or it moved: choose another window."
+                f"it scatters by {readable_values([v[j] ** 0.5], 'm', digits=3)}. "
+                "Labels were exchanged, or it moved: choose another window."
                 for j in np.flatnonzero(two)
             },
         )

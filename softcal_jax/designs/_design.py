@@ -20,7 +20,7 @@ from softcal_jax.calibration import (
     Watch,
     as_sequence,
     checked_problem,
-    fit,
+    fit as fit_problem,
     number_of_starts,
 )
 from softcal_jax.configurations import Configuration
@@ -313,7 +313,7 @@ def _calibrated(
             goals=True,
         )
         problem = replace(problem, deviations=deviations)
-        return fit(problem, options, asked.watch or line).result
+        return fit_problem(problem, options, asked.watch or line).result
 
 
 def _alternatives(

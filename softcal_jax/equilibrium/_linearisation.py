@@ -234,7 +234,7 @@ def derivatives(
 
 @jax.custom_jvp
 def _known(value: Nodal, function: Nodal) -> Nodal:
-    """Return the value of a function, which is then only computed to differentiate."""
+    """Return `value`, with the derivatives of `function`, which equals it."""
     return value
 
 

@@ -83,7 +83,7 @@ class LoadSteps:
         return self.posed.model
 
     def strict(self, s: LoadState) -> Bool[Array, ""]:
-        """Tell whether only steps that lower Pi are taken."""
+        """Tell whether Newton's method takes only steps that lower Pi."""
         if not self.model.solver.counts_negative:
             # Full steps could end in an unstable state unnoticed.
             return jnp.ones((), bool)
@@ -130,7 +130,7 @@ class LoadSteps:
         outcome = RESULTS.where(sound, RESULTS.converged, RESULTS.inverted)
         outcome = RESULTS.where(now.n_negative > 0, RESULTS.unstable, outcome)
         return s._replace(
-            iterate=now.again(now.point, now.lambda_a),
+            iterate=now.restarted(now.point, now.lambda_a),
             ok=now.point,
             lambda_ok=now.lambda_a,
             load_ok=s.load,
@@ -164,7 +164,7 @@ class LoadSteps:
         limit = so_far == RESULTS.limit_point
         why = RESULTS.where(limit, RESULTS.limit_point, why)
         return s._replace(
-            iterate=now.again(s.ok, s.lambda_ok),
+            iterate=now.restarted(s.ok, s.lambda_ok),
             stray=now.point.u,
             load=jnp.minimum(s.load_ok + increment, 1.0),
             increment=increment,

@@ -15,15 +15,17 @@ import numpy as np
 
 from softcal_jax._module import Module, key
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.equilibrium._assembly import no_strains, predict
+from softcal_jax.equilibrium._assembly import no_strains, predict, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
     Residual,
+    assemble,
     deform,
     evaluate,
     gap,
     merit,
     relative,
+    taut,
     unbalanced,
 )
 from softcal_jax.equilibrium._direction import line_search, newton_direction
@@ -127,7 +129,7 @@ class Iterate(NamedTuple):
     converged: Bool[Array, ""]
     failed: Bool[Array, ""]
 
-    def again(self, point: Point, lambda_a: Float[Array, " n_a"]) -> "Iterate":
+    def restarted(self, point: Point, lambda_a: Float[Array, " n_a"]) -> "Iterate":
         """Return the state before the first step from a point, at another load."""
         infinite = lambda merit: jnp.full_like(merit, jnp.inf)
         return self._replace(
@@ -140,7 +142,10 @@ class Iterate(NamedTuple):
 
 
 Iteration = Callable[[Posed, NewtonSettings, Iterate, Bool[Array, ""]], Iterate]
-"""Does one iteration at the load of the first argument; the last one: is it strict?"""
+"""Does an iteration at the load of the first argument.
+
+The last argument says whether only steps that lower Pi may be taken.
+"""
 
 
 def first_iterate(
@@ -268,65 +273,93 @@ def newton_iteration(
     return select(good, moved, new)._replace(converged=converged, failed=failed)
 
 
-def iteration_by(solver: "Solver") -> Iteration:
-    """Return what solves at a load at once, by a solver of optimistix.
+def iteration_by(solver: "Solver", most: int) -> Iteration:
+    """Return an iteration that finds the balance at a load by a solver of optimistix.
 
-    It finds the root of the out-of-balance force, relative to the forces at its start,
-    over the free unknowns, in sizes of the robot. Its tolerances are in these units;
-    what it finds counts by the rule of Newton's method, as an equilibrium or not.
+    It takes `most` steps to the root of the out-of-balance force, in units of the
+    forces at its start, over the free unknowns, in units of the robot's size. What it
+    finds counts by the rule of Newton's method, as an equilibrium or not, but it never
+    counts if it is unstable: no such solver promises to lower Pi.
     """
     from optimistix import root_find
 
-    def iteration(posed, settings, s, strict):
+    def iteration(posed, settings, s, _):
         model, which = posed.model, posed.model.with_multiplier
-        start, tiny = posed.held_at(s.point.u), jnp.finfo(s.point.u.dtype).tiny
+        start, norm = posed.held_at(s.point.u), jnp.linalg.norm
         size = jnp.max(jnp.ptp(jnp.asarray(model.mechanism.points), axis=0))
-        norm = jnp.linalg.norm
         here = deform(posed, start)
-        g, rows = unbalanced(posed, here, s.lambda_a)
+        tangent = assemble(
+            posed,
+            here,
+            s.lambda_a,
+            mesh=tangent_values(model, start),
+            active=taut(posed, here),
+        )
         unit = jnp.maximum(norm(posed.load * posed.f_ext), norm(here.force))
-        unit = jnp.maximum(unit, norm(g))
-        unit = jnp.where(unit > 0.0, unit, 1.0)
+        unit = jnp.maximum(unit, norm(tangent.g))
+        unit = jnp.where(unit > 0.0, unit, tangent.stiffness * size)
         # Forces of actuators, and gaps, in the same units.
-        arm = jnp.maximum(norm(rows[which], axis=(1, 2)), tiny)
-        stiffness = model.among_all(unit / size / arm**2)
+        row = norm(unbalanced(posed, here, s.lambda_a)[1][which], axis=(1, 2))
+        row = jnp.maximum(row, jnp.finfo(row.dtype).tiny)
+        stiffness = model.among_all(unit / size / row**2)
 
-        def placed(y):
+        def state(y):
             d = jnp.where(posed.fixed, 0.0, size * y[0])
-            return posed.swing(start, d), model.among_all(unit / arm * y[1])
-
-        def out_of_balance(y, posed):
-            u, lambda_a = placed(y)
-            point = deform(posed, u)
+            point = deform(posed, posed.swing(start, d))
+            lambda_a = model.among_all(unit / row * y[1])
             to_go, active = gap(posed, point, lambda_a, stiffness)
-            lambda_a = jnp.where(active, lambda_a, 0.0)
-            g = posed.on_free(u, unbalanced(posed, point, lambda_a)[0]) / unit
-            gaps = jnp.where(active[which], to_go[which] / size / arm, y[1])
+            return point, jnp.where(active, lambda_a, 0.0), to_go, active
+
+        def out_of_balance(y, _):
+            point, lambda_a, to_go, active = state(y)
+            g = posed.on_free(point.u, unbalanced(posed, point, lambda_a)[0]) / unit
+            gaps = jnp.where(active[which], to_go[which] / size / row, y[1])
             return jnp.where(posed.fixed, y[0], g), gaps
 
-        y = jnp.zeros(posed.fixed.shape), arm / unit * s.lambda_a[which]
-        root = root_find(out_of_balance, solver, y, posed, throw=False)
-        u, lambda_a = placed(root.value)
+        y = jnp.zeros(posed.fixed.shape), row / unit * s.lambda_a[which]
+        root = root_find(out_of_balance, solver, y, max_steps=most, throw=False)
+        (u, *_), lambda_a, *_ = state(root.value)
         point = evaluate(posed, u)
-        tangent = newton_direction(
+        factor = newton_direction(
             posed, point, lambda_a, strains=s.strains, exact=True, placed=True
         ).factor
-        off = merit(posed, point, lambda_a, tangent.gap_stiffness)
-        residual = relative(posed, point, off, tangent.stiffness)
-        good = residual.settled(settings.rtol) & point.finite & tangent.ok
-        good = good & ~_astray(model, point, tangent.n_negative, strict)
-        good = good & ~posed.passes_through(start, u)
+        off = merit(posed, point, lambda_a, factor.gap_stiffness)
+        residual = relative(posed, point, off, factor.stiffness)
+        settled = residual.settled(settings.rtol) & point.finite & factor.ok
+        good = settled & ~posed.passes_through(s.point.u, u)
+        no = jnp.zeros((), bool)
+        good = good & ~_astray(model, point, factor.n_negative, strict=no)
         steps = jnp.asarray(root.stats["num_steps"], s.step.dtype)
         new = s._replace(
             step=s.step + steps,
-            n_negative=tangent.n_negative,
-            singular=~tangent.ok,
+            # Where it strayed, these tell of nothing.
+            n_negative=jnp.where(settled, factor.n_negative, 0),
+            singular=~factor.ok & point.finite,
             turned=point.min_det_F <= 0.0,
         )
         moved = new._replace(point=point, lambda_a=lambda_a, residual=residual)
         return select(good, moved, new)._replace(converged=good, failed=~good)
 
     return iteration
+
+
+def check_solver(model: Model, solver: object) -> None:
+    """Raise ValueError unless a solver can take the place of Newton's method."""
+    import optimistix as optx
+
+    kinds = optx.AbstractRootFinder, optx.AbstractLeastSquaresSolver
+    if not isinstance(solver, (*kinds, optx.AbstractMinimiser)):
+        raise ValueError(
+            f"the solver is {solver!r}; expected one of optimistix, like "
+            "optimistix.Newton(1e-10, 1e-10). (The sparse linear solver is an argument "
+            "of build_model.)"
+        )
+    if model.conservative and not model.solver.counts_negative:
+        raise ValueError(
+            "a solver of optimistix may end in an unstable state, which "
+            f"{model.solver.name} does not tell from a stable one: build the model "
+            'with solver="pardiso", or leave the solver out.'
+        )
 
 
 def select(flag, new, old):

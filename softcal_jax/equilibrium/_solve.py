@@ -30,6 +30,7 @@ from softcal_jax.equilibrium._load_steps import LoadState, LoadSteps
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import (
     NewtonSettings,
+    check_solver,
     iteration_by,
     newton_iteration,
 )
@@ -256,9 +257,8 @@ def resumed(state: LoadState) -> LoadState:
     return state._replace(result=result, done=jnp.zeros((), bool))
 
 
-def _solved(model, configuration, u0, settings, solver) -> EquilibriumSolution:
+def _solved(model, configuration, u0, settings, iteration) -> EquilibriumSolution:
     posed = Posed.of(model.tabulated(), configuration)
-    iteration = newton_iteration if solver is None else iteration_by(solver)
     loop = LoadSteps(posed, settings, iteration)
     return as_solution(loop.run(loop.start(u0), settings.max_steps), settings)
 
@@ -268,11 +268,14 @@ def _equilibrium(model, configuration, u0, settings, solver):
     # A `vmap` of the loop would run all lanes until the slowest ends. In sequence, each
     # gives what it gives alone, but for rounding, and nothing shared is copied.
     model, rest = eqx.partition(model, eqx.is_array_like)
+    iteration = newton_iteration
+    if solver is not None:
+        iteration = iteration_by(solver, int(settings.max_steps_per_load))
 
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):
         model = eqx.combine(model, rest)
-        return _solved(model, configuration, u0, settings, solver)
+        return _solved(model, configuration, u0, settings, iteration)
 
     return lane(model, configuration, u0, settings)
 
@@ -355,17 +358,19 @@ def solve_equilibrium(
         solver: What finds the balance at each load in place of Newton's method: a root
             finder, least-squares solver or minimiser of optimistix, such as
             `optimistix.Dogleg(1e-10, 1e-10)`. Its tolerances are relative to the size
-            of the robot and to the forces on it. With its own linear solver it works on
-            a dense Jacobian, so take a small mesh. Load steps, the rule that tells an
-            equilibrium, and derivatives stay.
+            of the robot and to the forces on it, and its steps count as iterations:
+            `max_steps_per_load` and `max_steps` of the settings. With its own linear
+            solver it works on a dense Jacobian, so take a small mesh. Load steps, the
+            rule that tells an equilibrium, and derivatives stay; why there is none is
+            told with less detail.
 
     Returns:
         The solution with its outcome, which `check_converged` raises.
 
     Raises:
         ValueError: If the configuration is a batch or of another model, the guess has
-            another shape or is not float64, the solver is none of optimistix, or
-            float64 is off in JAX.
+            another shape or is not float64, float64 is off in JAX, or the solver is
+            none of optimistix, or of a model whose stability it cannot tell.
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
@@ -377,12 +382,8 @@ def solve_equilibrium(
             f"the guess is {u0.dtype} of shape {u0.shape}; expected float64 of shape "
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
-    if not (solver is None or hasattr(solver, "terminate")):
-        raise ValueError(
-            f"the solver is a {type(solver).__name__}; expected one of optimistix, "
-            "like optimistix.Newton(1e-10, 1e-10). (The sparse linear solver is an "
-            "argument of build_model.)"
-        )
+    if solver is not None:
+        check_solver(model, solver)
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
     inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
     if solver is not None or any(map(is_traced, jax.tree.leaves(inside))):

@@ -83,6 +83,7 @@ def _drawn(table: Table, box: Box | None) -> Drawn:
         title_justify="left",
         title_style="",
         box=box,
+        min_width=len(table.title),
         show_header=any(column.title for column in table.columns),
     )
     for k, column in enumerate(table.columns):

@@ -104,9 +104,9 @@ def outline(
         _placed("Markers", names, places, mesh, axes),
     ]
     for fields, points in control_point_sets(project).items():
-        names = [f"{i} {name}".rstrip() for i, name in enumerate(points.names, 1)]
-        places = np.asarray(points.positions)
-        tables.append(_placed(f"Control points of {fields}", names, places, mesh))
+        numbered = [f"{i} {name}".rstrip() for i, name in enumerate(points.names, 1)]
+        at = np.asarray(points.positions)
+        tables.append(_placed(f"Control points of {fields}", numbered, at, mesh))
     tables += [
         Table.of(
             "Configurations",
@@ -128,13 +128,14 @@ def outline(
         Table.of("Quantities as read, in SI and mm", " |  | ", _as_read(quantities)),
         Table.of("Commands", " | ", _commands(project)),
     ]
-    return tuple(Section(t.title, t.title, tables=(t,)) for t in tables)
+    key = lambda table: table.title.lower().replace(" ", "-")
+    return tuple(Section(key(t), t.title, tables=(t,)) for t in tables)
 
 
 def _model(model: Model) -> Iterator[tuple[str, str]]:
     mesh = model.mesh
     size = readable_values(np.ptp(mesh.points, axis=0).tolist(), "m")
-    yield "mesh", f"{mesh.words}; {size} in x, y, z"
+    yield "mesh", f"{mesh.words}; {size}"
     yield "volume", readable_values([float(volumes(mesh).sum())], "m3")
     weight = readable_values([model.mass * STANDARD_GRAVITY], "N")
     yield "weight", f"{weight} ({readable_values([model.mass], 'kg')})"
@@ -192,7 +193,8 @@ def _placed(
             names, positions, off, notes or [""] * len(names), strict=True
         )
     ]
-    return Table.of(title, "name | at rest [m] | off the mesh [m] | ", rows, digits=5)
+    heads, about = "name | at rest [m] | off the mesh [m] | ", {"digits": 3}
+    return Table.of(title, heads, rows, digits=5, about={"off the mesh": about})
 
 
 def _markers(
@@ -320,8 +322,9 @@ def _motion(
     if not moved:
         return "not measured"
     since = "since the reference" if before else "from rest"
-    ends = (readable_values([end], "m", digits=3) for end in (min(moved), max(moved)))
-    return f"moved by {' to '.join(dict.fromkeys(ends))} {since}"
+    ends = [round(end, 9) for end in (min(moved), max(moved))]  # not to rounding
+    shown = (readable_values([end], "m", digits=3, beside=ends) for end in ends)
+    return f"moved by {' to '.join(dict.fromkeys(shown))} {since}"
 
 
 def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
@@ -397,23 +400,23 @@ def mesh_section(mesh: TetMesh) -> Section:
     mean = readable_values([float(edges.mean())], "m", digits=3)
     volume = readable_values([float(volumes(mesh).sum())], "m3")
     text = f"{mesh.words}, mean edge length {mean}, volume {volume}"
-    rows = []
+    rows, units = [], []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)
         areas = face_shares(mesh, faces).sum(axis=1)
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
         place = readable_values(point.tolist(), "m")
-        rows.append((name, float(areas.sum()), f'a point on it: "{place}"', "m2"))
+        rows.append((name, float(areas.sum()), f'a point on it: "{place}"'))
+        units.append("m2")
     for name, tets in mesh.tet_groups.items():
-        volume = float(volumes(mesh)[tets].sum())
-        rows.append((name, volume, f"{len(tets)} tets", "m3"))
+        rows.append((name, float(volumes(mesh)[tets].sum()), f"{len(tets)} tets"))
+        units.append("m3")
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
-            rows.append((name, f"{len(nodes)} nodes", "", ""))
-    *columns, units = zip(*rows, strict=True) if rows else ((),) * 4
-    groups = zip(*columns, strict=True)
-    table = Table.of("", "name | size [*] | ", groups, units=units)
+            rows.append((name, f"{len(nodes)} nodes", ""))
+            units.append("")
+    table = Table.of("Groups", " | [*] | ", rows, units=units)
     return Section("mesh", "", (text,), (table,))
 
 

@@ -74,6 +74,17 @@ class Problem(Module):
     deviations: Float[Array, "n_c n_p"] | None = None
     limits: ReadingLimits | None = None
 
+    def __check_init__(self):
+        if self.deviations is None:
+            return
+        shape = len(self.configurations.gravity), len(self.space.names)
+        if self.deviations.shape != shape or self.n_held_out:
+            raise ValueError(
+                "deviations must have a row for each configuration and a column for "
+                f"each parameter, {shape}, and none may be held out; got shape "
+                f"{self.deviations.shape}, and {self.n_held_out} held out."
+            )
+
     @property
     def configurations(self) -> ConfigurationArrays:
         """The poses as arrays, a lane each."""

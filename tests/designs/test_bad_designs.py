@@ -28,7 +28,7 @@ def nothing_is_solved(monkeypatch):
     def solved(*_, **__):
         raise AssertionError("it went on to solve")
 
-    monkeypatch.setattr("softcal_jax.designs._design.calibrate", solved)
+    monkeypatch.setattr("softcal_jax.designs._design.fit_problem", solved)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -288,7 +289,7 @@ def test_an_interrupted_design_is_compared_with_nothing(
     """Ctrl-C ends the search with what it has, or the comparison without any."""
     stopped = replace(made.fit, interrupted=True) if step else KeyboardInterrupt
     left = iter([made.fit, stopped][2 - fits :])
-    monkeypatch.setattr("softcal_jax.designs._design.calibrate", next_of(left))
+    monkeypatch.setattr("softcal_jax.designs._design.fit_problem", next_of(left))
     asked = partial(design, MODEL, moduli(), wanted, limits=RANGE)
     if fits == 1 and step == 0:  # there is no design yet
         with pytest.raises(KeyboardInterrupt):
@@ -304,20 +305,20 @@ def test_an_interrupted_design_is_compared_with_nothing(
 def next_of(left):
     """Fits in turn, or what ends one before its first step."""
 
-    def calibrate(*_, **__):
-        fit = next(left)
-        if fit is KeyboardInterrupt:
-            raise fit
-        return fit
+    def fit(*_, **__):
+        result = next(left)
+        if result is KeyboardInterrupt:
+            raise result
+        return SimpleNamespace(result=result)
 
-    return calibrate
+    return fit
 
 
 @pytest.mark.parametrize("part", ["specimens", "tighter"])
 def test_what_is_interrupted_later_keeps_the_design(made, wanted, monkeypatch, part):
     """The least error over prints, and the fit that keeps a largest stretch better."""
     left = iter([made.fit, KeyboardInterrupt])
-    monkeypatch.setattr("softcal_jax.designs._design.calibrate", next_of(left))
+    monkeypatch.setattr("softcal_jax.designs._design.fit_problem", next_of(left))
     passed = Peak("stretch", "little", 1.2, 1.1, "")
     if part == "tighter":
         monkeypatch.setattr("softcal_jax.designs._design.peaks", lambda *_: (passed,))

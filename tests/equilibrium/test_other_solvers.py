@@ -8,7 +8,7 @@ from mechanisms import LENGTH, NO_GRAVITY, SIDE, TIGHT, arrays, strip
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.bodies import RigidBody
-from softcal_jax.configurations import Configuration, ImposedDisplacement
+from softcal_jax.configurations import Configuration, ImposedDisplacement, Support
 from softcal_jax.equilibrium import (
     RESULTS,
     NewtonSettings,
@@ -22,12 +22,18 @@ E = 3e5
 LAW = NeoHookean(E, 0.3)
 BEAM = build_model(strip(3), LAW, density=1000.0)
 LYING = arrays(BEAM, Configuration("lying", "x_min"))
-ANY = NewtonSettings(max_steps=5000)
+ANY = NewtonSettings(max_steps=5000, max_steps_per_load=1000)
 TOLERANCES = {"rtol": 1e-10, "atol": 1e-10}
 
 
 def guide(x, z, on=None):
     return Guide((x, SIDE / 2, z), on) if on else (x, SIDE / 2, z)
+
+
+# The solver of other platforms does not count, and is refused: see below.
+pytestmark = pytest.mark.skipif(
+    not BEAM.solver.can_count, reason="needs a solver that counts"
+)
 
 
 @pytest.mark.parametrize("solver", [optx.Newton, optx.Dogleg, optx.LevenbergMarquardt])
@@ -68,6 +74,39 @@ def test_bodies_and_imposed_lengths():
     )
 
 
+def test_a_support_that_moves_and_a_guess():
+    """The clamp is lifted: from rest, and from near by."""
+    lifted = Support("x_min", displacement=(0.0, 0.0, 0.02))
+    lane = arrays(BEAM, Configuration("lifted", [lifted]))
+    ours = solve_equilibrium(BEAM, lane, settings=TIGHT)
+    near = 0.9 * ours.displacement
+    for guess in (None, near):
+        theirs = solve_equilibrium(
+            BEAM, lane, guess=guess, solver=optx.Newton(**TOLERANCES)
+        )
+        assert bool(theirs.converged)
+        np.testing.assert_allclose(
+            theirs.displacement, ours.displacement, rtol=0, atol=1e-9 * LENGTH
+        )
+
+
+def test_a_solver_that_takes_too_long_ends_without_an_equilibrium():
+    few = NewtonSettings(max_steps_per_load=5)
+    found = solve_equilibrium(
+        BEAM, LYING, solver=optx.LevenbergMarquardt(**TOLERANCES), settings=few
+    )
+    assert not bool(found.converged)
+    assert int(found.steps) <= 205
+
+
+def test_without_a_count_of_negative_eigenvalues_it_is_refused():
+    """A root finder may end in a saddle, which KLU does not tell from a minimum."""
+    model = build_model(strip(1), LAW, density=1000.0, solver="klu")
+    lane = arrays(model, Configuration("lying", "x_min"))
+    with pytest.raises(ValueError, match="unstable"):
+        solve_equilibrium(model, lane, solver=optx.Newton(**TOLERANCES))
+
+
 def test_derivatives_do_not_depend_on_the_solver():
     def height(E, solver):
         model = set_field(BEAM, "E", E)
@@ -102,8 +141,9 @@ def test_an_unstable_state_is_none():
 
 
 def test_what_is_no_solver_is_refused():
-    with pytest.raises(ValueError, match="optimistix"):
-        solve_equilibrium(BEAM, LYING, solver="klu")  # type: ignore[arg-type]
+    for solver in ("klu", optx.Newton, optx.FixedPointIteration(1e-8, 1e-8)):
+        with pytest.raises(ValueError, match="optimistix"):
+            solve_equilibrium(BEAM, LYING, solver=solver)  # type: ignore[arg-type]
 
 
 def test_no_gravity_is_rest():

@@ -91,12 +91,11 @@ def _title(name: str, findings: Findings) -> Iterator[str]:
 def _mesh(findings: Findings) -> Iterator[str]:
     """Write [mesh] and [groups], with all groups of the file as comments."""
     body, held = findings.body, findings.held
-    extent = np.ptp(body.mesh.points, axis=0)
-    sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
+    sides = readable_values(np.ptp(body.mesh.points, axis=0).tolist(), "m")
     yield "[mesh]"
     yield f"file = {toml_value(findings.model)}"
     if body.unit is not None:
-        guess = f" # CHANGE: a guess, by which it is {sides} mm"
+        guess = f" # CHANGE: a guess, by which it is {sides}"
         yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
     if body.size is not None:
         why = body.why or "halve it to see what changes"
@@ -105,7 +104,7 @@ def _mesh(findings: Findings) -> Iterator[str]:
         yield 'unused_nodes = "drop" # the file has nodes that no cell uses'
     yield """element = "quadratic" # does not lock in bending; "linear" does
 """
-    yield f"# {sides} mm. The mesh and its groups:"
+    yield f"# {sides}. The mesh and its groups:"
     lines = text([mesh_section(body.mesh)]).splitlines()
     yield from (f"#   {line}" for line in lines[: _MOST_GROUPS + 1])
     if len(lines) > _MOST_GROUPS + 1:
