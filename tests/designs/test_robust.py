@@ -85,6 +85,14 @@ def test_a_calibration_to_specimens_that_deviate():
     np.testing.assert_allclose(found.z, shared, atol=1e-5)
 
 
+def test_deviations_need_a_row_for_each_pose(unchecked):
+    """And a column for each parameter; one would be added to all of them."""
+    problem = build_problem(MODEL, SPACE, read(values(8e5, 3e5, 0.3), pose()))
+    for shape in ((2, 3), (1, 1)):
+        with pytest.raises(ValueError, match="a row for each configuration"):
+            replace(problem, deviations=jnp.zeros(shape))
+
+
 def test_a_print_without_an_equilibrium_does_not_lose_the_design(monkeypatch):
     def without(*_):
         raise RuntimeError("no equilibrium found: configuration 'bent, print 2'")
