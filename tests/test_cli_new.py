@@ -124,7 +124,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     text = " ".join(capsys.readouterr().out.split())
     assert says(text, "(60, 20, 20) mm, ... mm")
     assert says(text, "Poses: rest ... a")
-    assert "tip = inside top = 1 mm foot = inside" in text
+    assert "tip: inside top: 1 mm foot: inside" in text
     assert {p.name for p in folder.iterdir()} == {
         "body.msh",
         "poses.csv",

@@ -88,7 +88,6 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
     from softcal_jax.export import readable_values
-    from softcal_jax.report import Section, Table, text
 
     body, recorded = findings.body, findings.recorded
     sides = readable_values(np.ptp(body.mesh.points, axis=0).tolist(), "m")
@@ -112,9 +111,9 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
         "Missing: where the markers are glued. Gravity acts in every reading, so the "
         "nearest points of the mesh are guessed, this far from those at rest:"
     )
-    rows = [(m.name, m.distance or "inside", "") for m in findings.markers]
-    table = Table.of("", "marker | off the mesh [m] | ", rows, digits=3)
-    yield from text([Section("markers", "", tables=(table,))]).splitlines()
+    for marker in findings.markers:
+        off = readable_values([marker.distance], "m", digits=3)
+        yield f"  {marker.name}: {off if marker.distance else 'inside'}"
     if findings.own_frame:
         yield (
             "That is too far: the recording has its own frame. Follow the remarks at "

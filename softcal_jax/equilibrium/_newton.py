@@ -286,8 +286,7 @@ def iteration_by(solver: "Solver", most: int) -> Iteration:
     def iteration(posed, settings, s, _):
         model, which = posed.model, posed.model.with_multiplier
         start, norm = posed.held_at(s.point.u), jnp.linalg.norm
-        size = jnp.max(jnp.ptp(jnp.asarray(model.mechanism.points), axis=0))
-        here = deform(posed, start)
+        here, size = deform(posed, start), model.mechanism.bodies.length
         tangent = assemble(
             posed,
             here,
@@ -299,7 +298,7 @@ def iteration_by(solver: "Solver", most: int) -> Iteration:
         unit = jnp.maximum(unit, norm(tangent.g))
         unit = jnp.where(unit > 0.0, unit, tangent.stiffness * size)
         # Forces of actuators, and gaps, in the same units.
-        row = norm(unbalanced(posed, here, s.lambda_a)[1][which], axis=(1, 2))
+        row = norm(tangent.H_a, axis=(1, 2))
         row = jnp.maximum(row, jnp.finfo(row.dtype).tiny)
         stiffness = model.among_all(unit / size / row**2)
 

@@ -7,8 +7,9 @@ import pytest
 from mechanisms import LENGTH, NO_GRAVITY, SIDE, TIGHT, arrays, strip
 
 from softcal_jax.actuators import Cable, Guide
-from softcal_jax.bodies import RigidBody
+from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.configurations import Configuration, ImposedDisplacement, Support
+from softcal_jax.contact import Ball
 from softcal_jax.equilibrium import (
     RESULTS,
     NewtonSettings,
@@ -17,6 +18,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import set_field
 from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import beam
 
 E = 3e5
 LAW = NeoHookean(E, 0.3)
@@ -105,6 +107,21 @@ def test_without_a_count_of_negative_eigenvalues_it_is_refused():
     lane = arrays(model, Configuration("lying", "x_min"))
     with pytest.raises(ValueError, match="unstable"):
         solve_equilibrium(model, lane, solver=optx.Newton(**TOLERANCES))
+
+
+def test_a_ball_does_not_jump_through_a_plate():
+    """Moved to its end at once it has passed: the plate would be in balance at rest."""
+    plate = beam(0.04, 0.01, 1e-3, (4, 1, 1), origin=(0, 0, -1e-3))
+    ball = RigidBody("ball", shape=Ball(4e-3), origin=(0.03, 5e-3, 8e-3))
+    model = build_model(plate, LAW, density=0.0, bodies=[ball], contact_scale=1e-4)
+    moved = {"ball": Pose((0, 0, -20e-3))}
+    pose = Configuration("through", "x_min", gravity=NO_GRAVITY, bodies=moved)
+    few = NewtonSettings(smallest_load_step=0.2)
+    found = solve_equilibrium(
+        model, arrays(model, pose), solver=optx.Newton(**TOLERANCES), settings=few
+    )
+    assert not bool(found.converged)
+    assert float(found.load_reached) < 1.0
 
 
 def test_derivatives_do_not_depend_on_the_solver():
