@@ -2,11 +2,15 @@
 
 import re
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import meshio
 import numpy as np
+
+_KINDS = ("point", "line", "surface", "volume")
+"""What a group without a name is called after, by its dimension."""
 
 
 def read_msh(path: str, content: bytes) -> meshio.Mesh:
@@ -64,7 +68,7 @@ def _by_gmsh(gmsh: Any, path: str, names: dict[tuple[int, int], str]) -> meshio.
             if name == "tetra10":
                 nodes = nodes[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
             for tag in tags:
-                unnamed = f"{('point', 'line', 'surface', 'volume')[entity[0]]}_{tag}"
+                unnamed = f"{_KINDS[entity[0]]}_{tag}"
                 groups[names.get((entity[0], tag), unnamed)].add(len(cells))
             cells.append((name, nodes))
             elements.append(numbers.tolist())
@@ -101,6 +105,46 @@ def read_vtk(path: str, content: bytes) -> meshio.Mesh:
     return mesh
 
 
+def with_sets(mesh: meshio.Mesh) -> meshio.Mesh:
+    """Turn Gmsh's physical groups and MED's families into sets, whatever the format."""
+    cells = {
+        name: [np.array([] if of is None else of, int) for of in blocks]
+        for name, blocks in mesh.cell_sets.items()
+        if not name.startswith("gmsh:")
+    }
+    nothing = [np.zeros(0, int)] * len(mesh.cells)
+    for name, block, members in _tagged(mesh):
+        blocks = cells.setdefault(name, [*nothing])
+        blocks[block] = np.union1d(blocks[block], members)
+    mesh.cell_sets = cells
+    for tag, names in getattr(mesh, "point_tags", {}).items():
+        members = np.flatnonzero(mesh.point_data["point_tags"] == tag)
+        for name in names:
+            others = mesh.point_sets.get(name, members)
+            mesh.point_sets[name] = np.union1d(others, members)
+    return mesh
+
+
+def _tagged(mesh: meshio.Mesh) -> Iterator[tuple[str, int, np.ndarray]]:
+    """Yield the name of a group, a block, and the cells of the block in the group."""
+    named = {
+        (int(entry[0]), int(entry[1])): name
+        for name, entry in mesh.field_data.items()
+        if np.size(entry) == 2 and np.asarray(entry).dtype.kind in "iu"
+    }
+    for block, tags in enumerate(mesh.cell_data.get("gmsh:physical", [])):
+        tags, dim = np.asarray(tags), mesh.cells[block].dim
+        for tag in np.unique(tags[tags > 0]):
+            # A tag without a name becomes e.g. "surface_7".
+            name = named.get((int(tag), dim), f"{_KINDS[dim]}_{tag}")
+            yield name, block, np.flatnonzero(tags == tag)
+    # meshio keeps MED's families as attributes that other formats lack.
+    for tag, names in getattr(mesh, "cell_tags", {}).items():
+        for block, tags in enumerate(mesh.cell_data.get("cell_tags", [])):
+            for name in names:
+                yield name, block, np.flatnonzero(tags == tag)
+
+
 def main(given: tuple[str, bytes]) -> meshio.Mesh:
     """Read a file, given its suffix and content, by the library of its format.
 
@@ -110,5 +154,6 @@ def main(given: tuple[str, bytes]) -> meshio.Mesh:
     path = f"mesh{suffix}"
     Path(path).write_bytes(content)
     if suffix == ".med":
-        return meshio.read(path, file_format="med")
-    return read_msh(path, content) if suffix == ".msh" else read_vtk(path, content)
+        return with_sets(meshio.read(path, file_format="med"))
+    read = read_msh if suffix == ".msh" else read_vtk
+    return with_sets(read(path, content))

@@ -1,16 +1,16 @@
 """Reading of mesh files as a `TetMesh` in metres, and writing with all groups.
 
 Libraries read in a process of their own (`_program.py`), and either return a mesh or
-raise a `ValueError` that names the file; Abaqus files are read here.
+raise a `ValueError` that names the file; Abaqus files are read here. Whatever a format
+calls them, groups are sets of cells and of points from there on.
 """
 
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import meshio
 import numpy as np
@@ -61,57 +61,6 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     if said:
         notes.append(f"its reader says: {escaped(' '.join(said.split()))}")
     return raw
-
-
-_KINDS = ("point", "line", "surface", "volume")
-
-
-class RawGroups(NamedTuple):
-    """The groups of a file: by name, their cells in each block, and their points."""
-
-    cells: dict[str, dict[int, HostArray]]
-    points: dict[str, HostArray]
-
-
-def raw_groups(raw: meshio.Mesh) -> RawGroups:
-    """Collect sets, Gmsh's physical groups and MED's families by name."""
-    cells: dict[str, dict[int, HostArray]] = {}
-    for name, block, members in _cell_members(raw):
-        blocks = cells.setdefault(escaped(name), {})
-        if np.size(members):
-            members = np.asarray(members, dtype=int)
-            blocks[block] = np.union1d(blocks.get(block, members), members)
-    sets = raw.point_sets.items()
-    points = {escaped(name): np.asarray(p, int) for name, p in sets}
-    for tag, names in getattr(raw, "point_tags", {}).items():
-        members = np.flatnonzero(raw.point_data["point_tags"] == tag)
-        for name in map(escaped, names):
-            points[name] = np.union1d(points.get(name, members), members)
-    return RawGroups(cells, points)
-
-
-def _cell_members(raw: meshio.Mesh) -> Iterator[tuple[str, int, Any]]:
-    """Yield the name of a group, a block, and the cells of the block in the group."""
-    for name, blocks in raw.cell_sets.items():
-        if not name.startswith("gmsh:"):
-            for block, members in enumerate(blocks):
-                yield name, block, [] if members is None else members
-    named = {
-        (int(entry[0]), int(entry[1])): name
-        for name, entry in raw.field_data.items()
-        if np.size(entry) == 2 and np.asarray(entry).dtype.kind in "iu"
-    }
-    for block, tags in enumerate(raw.cell_data.get("gmsh:physical", [])):
-        tags, dim = np.asarray(tags), raw.cells[block].dim
-        for tag in np.unique(tags[tags > 0]):
-            # A tag without a name becomes e.g. "surface_7".
-            name = named.get((int(tag), dim), f"{_KINDS[dim]}_{tag}")
-            yield name, block, np.flatnonzero(tags == tag)
-    # meshio keeps MED's families as attributes that other formats lack.
-    for tag, names in getattr(raw, "cell_tags", {}).items():
-        for block, tags in enumerate(raw.cell_data.get("cell_tags", [])):
-            for name in names:
-                yield name, block, np.flatnonzero(tags == tag)
 
 
 _SMALL = 5e-4  # a mesh below this size [m] may have a wrong unit
@@ -219,8 +168,7 @@ def _build(
         cells = np.asarray(block.data)
         if cells.size and (cells.min() < 0 or cells.max() >= len(raw.points)):
             raise ValueError(f"a {block.type} cell refers to a node that is not there.")
-    groups = raw_groups(raw)
-    notes += _left_out(raw, groups)
+    notes += _left_out(raw)
     index = _new_indices(raw, tets, unused)
     points = raw.points[index >= 0] * scale
     tets = index[tets]
@@ -228,7 +176,7 @@ def _build(
     if left_handed and (volumes(TetMesh(points, tets[:, :4])) < 0).all():
         tets = tets[:, _MIRRORED[: tets.shape[1]]]
     mesh = TetMesh(points, tets)
-    return _with_groups(raw, groups, mesh, index, first, notes)
+    return _with_groups(raw, mesh, index, first, notes)
 
 
 def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
@@ -261,14 +209,13 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
     return np.concatenate([*blocks.values()]), dict(zip(blocks, starts, strict=False))
 
 
-def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
+def _left_out(raw: meshio.Mesh) -> list[str]:
     left_out = Counter()
     for k, block in enumerate(raw.cells):
-        if block.type in _TETS:
-            continue
-        used = [blocks[k] for blocks in groups.cells.values() if k in blocks]
-        n_used = len(np.unique(np.concatenate(used))) if used else 0
-        left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
+        if block.type not in _TETS:
+            used = {i for blocks in raw.cell_sets.values() for i in blocks[k]}
+            left_out[block.type] += len(block)
+            left_out[block.type] -= len(used) * (block.type in _GROUP_CELLS)
     listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
     note = (
         f"left out: {listed}. Tets are read; triangles, lines and vertices only where "
@@ -296,7 +243,6 @@ def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
 
 def _with_groups(
     raw: meshio.Mesh,
-    groups: RawGroups,
     mesh: TetMesh,
     index: HostArray,
     first: dict[int, int],
@@ -305,17 +251,18 @@ def _with_groups(
     node_groups, surface_groups, tet_groups = {}, {}, {}
     all_faces = tet_faces(mesh.tets)
     corners = np.sort(all_faces[:, :3], axis=1).tolist()
-    position = {tuple(key): where for where, key in enumerate(corners)}
-    for name in {**groups.cells, **groups.points}:
+    position = {tuple(face): where for where, face in enumerate(corners)}
+    for key in {**raw.cell_sets, **raw.point_sets}:
+        name = escaped(key)
         blocks = {
-            k: members
-            for k, members in groups.cells.get(name, {}).items()
-            if raw.cells[k].type in _GROUP_CELLS
+            k: np.asarray(members)
+            for k, members in enumerate(raw.cell_sets.get(key, ()))
+            if len(members) and raw.cells[k].type in _GROUP_CELLS
         }
         cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
         nodes = np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])
-        if name in groups.points:  # also where a set of elements is called the same
-            nodes = index[groups.points[name]]
+        if key in raw.point_sets:  # also where a set of elements is called the same
+            nodes = index[np.asarray(raw.point_sets[key], int)]
         nodes = np.unique(nodes[nodes >= 0])
         if not nodes.size:
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
