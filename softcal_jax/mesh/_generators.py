@@ -13,13 +13,12 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._location import barycentric_in_tets, bounds, tets_at
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh, check_order, to_quadratic
-from softcal_jax.mesh._topology import boundary_faces
+from softcal_jax.mesh._topology import boundary_faces, corner_volumes
 
 
 def oriented(tets: HostArray, corners: HostArray) -> HostArray:
     """Swap the last two nodes of linear tets whose corners give a negative volume."""
-    inverted = np.linalg.det((corners[:, 1:] - corners[:, :1]).astype(float)) < 0
-    tets = tets.copy()
+    tets, inverted = tets.copy(), corner_volumes(corners) < 0
     tets[inverted] = tets[inverted][:, [0, 1, 3, 2]]
     return tets
 

@@ -9,6 +9,7 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES, TET_FACES, shape_functions, tet_rule
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
+    area_normals,
     boundary_face_indices,
     jacobian_determinants,
     tet_faces,
@@ -88,8 +89,7 @@ def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:
     faces = boundary_face_indices(mesh.tets[deforming])
     behind = of_deforming[faces // len(TET_FACES)]
     face_nodes = tet_faces(mesh.tets[deforming])[faces]
-    X = mesh.points[face_nodes[:, :3]]
-    normal = np.cross(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    normal = area_normals(mesh.points[face_nodes[:, :3]])
     in_tet = np.zeros((len(TET_FACES), 3, 4))
     for k, corners in enumerate(TET_FACES):
         in_tet[k][:, corners] = _IN_FACE

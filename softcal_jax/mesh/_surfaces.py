@@ -14,7 +14,12 @@ from softcal_jax._units import readable
 from softcal_jax.mesh._location import nearest_on_triangles
 from softcal_jax.mesh._selection import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
-from softcal_jax.mesh._topology import boundary_faces, face_indices, sides_of
+from softcal_jax.mesh._topology import (
+    area_normals,
+    boundary_faces,
+    face_indices,
+    sides_of,
+)
 
 SHARP = np.deg2rad(40.0)
 """Turn of the normal at an edge that ends a face [rad]; a round wall turns by less."""
@@ -136,8 +141,8 @@ def find_cavities(mesh: TetMesh) -> list[Cavity]:
     of_face = np.unique(surface.body_faces(), return_inverse=True)[1].ravel()
     pairs = np.unique(of_face[surface.sides // 3], axis=0)
     n, whole = int(of_face.max()) + 1, 0
-    a, b, c = np.moveaxis(surface.corners, 1, 0)
-    areas = np.bincount(of_face, np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    sizes = np.linalg.norm(area_normals(surface.corners), axis=1)
+    areas = np.bincount(of_face, sizes)
     large = np.argsort(-areas, kind="stable")[:_MOST_CUT].tolist()
     beside = [{*pairs[(pairs == k).any(axis=1)].flat} & {*large} for k in range(n)]
     both = sorted({two for near in beside for two in combinations(sorted(near), 2)})
@@ -172,7 +177,7 @@ def distances_along(
     Rays are unit vectors in columns.
     """
     a, b, c = np.moveaxis(corners - point, 1, 0)
-    normals = np.cross(b - a, c - a)
+    normals = area_normals(corners - point)
     tiny = 1e-9 * np.ptp(corners, axis=(0, 1)).max() ** 2
     # A ray meets a triangle if it passes all three sides on their inner side.
     passed = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)]) @ rays
@@ -197,8 +202,7 @@ def ring_around(
     faces, corners, seen = (x[seen > _ROUNDING] for x in (faces, corners, seen))
     if not len(faces):
         return None
-    a, b, c = np.moveaxis(corners - point, 1, 0)
-    normals = np.cross(b - a, c - a)
+    normals = area_normals(corners - point)
     weights = seen / np.sum(normals**2, axis=1)
     across = np.linalg.eigh((normals.T * weights) @ normals)[1][:, 1:]
     turn = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
@@ -250,8 +254,7 @@ class _FaceGraph:
     def __init__(self, mesh: TetMesh):
         self.mesh, self.faces = mesh, boundary_faces(mesh)
         self.corners = mesh.points[self.faces[:, :3]]
-        a, b, c = np.moveaxis(self.corners, 1, 0)
-        normals = np.cross(b - a, c - a)
+        normals = area_normals(self.corners)
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         # Along an edge of more than two faces, parts only touch.
         self.sides = sides_of(self.faces[:, :3]).pairs

@@ -127,6 +127,17 @@ def sides_of(triangles: Int[HostArray, "n 3"]) -> Sides:
     return Sides(edge.ravel(), ends[:, 0] < ends[:, 1], counts)
 
 
+def area_normals(corners: Float[HostArray, "n 3 3"]) -> Float[HostArray, "n 3"]:
+    """Compute the normals of triangles, with twice their area as length [m2]."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return np.cross(b - a, c - a)
+
+
+def corner_volumes(corners: HostArray) -> Float[HostArray, " n"]:
+    """Compute the volume of tets with straight edges [m3], negative if inverted."""
+    return np.linalg.det((corners[:, 1:] - corners[:, :1]).astype(float)) / 6.0
+
+
 def jacobian_determinants(
     mesh: TetMesh, barycentric: Float[HostArray, "n_points 4"]
 ) -> Float[HostArray, "n_tets n_points"]:
@@ -190,8 +201,7 @@ def thin_share(mesh: TetMesh) -> float:
     edges of tets.
     """
     faces = boundary_faces(mesh)[:, :3]
-    a, b, c = np.moveaxis(mesh.points[faces], 1, 0)
-    cross = np.cross(b - a, c - a)
+    cross = area_normals(mesh.points[faces])
     normal, area = np.zeros((mesh.n_nodes, 3)), np.zeros(mesh.n_nodes)
     np.add.at(normal, faces, cross[:, None])
     np.add.at(area, faces, np.linalg.norm(cross, axis=1)[:, None])
@@ -332,10 +342,10 @@ def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
     X = mesh.points[mesh.tets[:, :4]]
     vectors = np.diff(X[:, np.array(TET_EDGES)], axis=2)[:, :, 0]
     rms = np.sqrt((vectors**2).sum(axis=-1).mean(axis=-1))
-    volume = np.linalg.det(X[:, 1:] - X[:, :1]) / 6.0
     # Over that of the regular tet with the same rms edge. Tets whose nodes all coincide
     # have neither volume nor edges.
-    shape = 6.0 * np.sqrt(2.0) * volume / np.maximum(rms, np.finfo(float).tiny) ** 3
+    tiny = np.finfo(float).tiny
+    shape = 6.0 * np.sqrt(2.0) * corner_volumes(X) / np.maximum(rms, tiny) ** 3
     flat = np.abs(shape) < FLAT
     inverted = (shape < 0) & ~flat
     folded = np.zeros_like(flat)
@@ -368,8 +378,7 @@ def _repeated(mesh: TetMesh, table: SharedFaces) -> Iterator[str]:
     _, first = np.unique(corners, axis=0, return_index=True)
     again = np.setdiff1d(np.arange(mesh.n_tets), first)
     # Of two tets on either side of a face, one has its nodes in an odd order.
-    X = mesh.points[mesh.tets[:, :4]]
-    inverted = np.linalg.det(X[:, 1:] - X[:, :1]) < 0
+    inverted = corner_volumes(mesh.points[mesh.tets[:, :4]]) < 0
     a, b, c = tet_faces(mesh.tets)[:, :3].T
     odd = (a > b) ^ (b > c) ^ (a > c) ^ np.repeat(inverted, 4)
     one_side = (table.counts == 2) & (np.bincount(table.inverse, odd) != 1)
