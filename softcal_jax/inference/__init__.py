@@ -1,10 +1,5 @@
 """Statistics of a fit: one linear model of all unknowns, and what follows from it."""
 
-from softcal_jax.inference._difference import (
-    Difference as Difference,
-    Estimate as Estimate,
-    difference as difference,
-)
 from softcal_jax.inference._least_squares import (
     RANK as RANK,
     Whitened as Whitened,
@@ -21,10 +16,6 @@ from softcal_jax.inference._linear_model import (
     independent as independent,
     no_errors as no_errors,
 )
-from softcal_jax.inference._reml import (
-    freedom_between as freedom_between,
-    restricted_likelihood as restricted_likelihood,
-)
 from softcal_jax.inference._residuals import (
     LackOfFit as LackOfFit,
     PosePrediction as PosePrediction,
@@ -32,10 +23,12 @@ from softcal_jax.inference._residuals import (
     agreement_sentences as agreement_sentences,
     chance as chance,
     disagreeing as disagreeing,
+    freedom_between as freedom_between,
     jitter_freedom as jitter_freedom,
     lack_of_fit as lack_of_fit,
     predicted_by_others as predicted_by_others,
     recording_estimates as recording_estimates,
+    restricted_likelihood as restricted_likelihood,
 )
 from softcal_jax.inference._uncertainty import (
     ANY_ANGLE as ANY_ANGLE,
@@ -43,8 +36,11 @@ from softcal_jax.inference._uncertainty import (
     EXACT as EXACT,
     UNLIKELY as UNLIKELY,
     Cause as Cause,
+    Difference as Difference,
     ErrorBudget as ErrorBudget,
+    Estimate as Estimate,
     Uncertainty as Uncertainty,
+    difference as difference,
     error_budget as error_budget,
     readable_error as readable_error,
     uncertainty as uncertainty,
