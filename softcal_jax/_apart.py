@@ -1,7 +1,7 @@
 """Libraries in a process of their own, which damaged files crash, hang or fill.
 
-This file is that process, too: it imports nothing of the package, and so starts in a
-fraction of a second.
+This file is that process, too: there it imports nothing of the package, and so starts
+in a fraction of a second.
 """
 
 import pickle
@@ -23,16 +23,19 @@ _OUT_OF_MEMORY = re.compile(
 _KEPT = (ImportError, MemoryError, OverflowError, ValueError)  # errors raised as such
 
 
-def run_apart(program: Path, given: Any, *, seconds: float, megabytes: float):
+def run_apart(program: Path, given: Any) -> tuple[Any, str]:
     """Return what `main(given)` of a program returns, and what it printed of errors.
 
     The folder in which it works is its own.
 
     Raises:
-        TimeoutError: If it takes longer.
-        MemoryError: If it needs more memory than this, or than there is.
+        TimeoutError: If it takes longer than SOFTCAL_MAX_MESHING_S.
+        MemoryError: If it needs more than SOFTCAL_MAX_MESHING_MB, or than there is.
         RuntimeError: If it crashes, or raises anything but a few errors of Python.
     """
+    from softcal_jax._places import MESHING_MEGABYTES, MESHING_SECONDS
+
+    seconds, megabytes = MESHING_SECONDS.most, MESHING_MEGABYTES.most
     with tempfile.TemporaryDirectory() as folder:
         given_at, made_at = Path(folder, "given"), Path(folder, "made")
         given_at.write_bytes(pickle.dumps(given))

@@ -13,8 +13,8 @@ import softcal_jax
 ROOT = Path(softcal_jax.__file__).parent
 
 LAYERS = [
-    {"_apart", "_notebook", "_places", "_process", "_results", "_text", "_typing"},
-    {"_units"},
+    {"_notebook", "_places", "_process", "_results", "_text", "_typing"},
+    {"_apart", "_units"},
     {"_lanes", "_module"},
     {"_files", "_tree"},
     {"_compilation_cache"},

@@ -22,7 +22,6 @@ import numpy as np
 
 from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file
-from softcal_jax._places import MESHING_MEGABYTES, MESHING_SECONDS
 from softcal_jax._text import check_known, escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
@@ -60,9 +59,8 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     path = Path(path)
     check_file(path, "recording")
     try:
-        limits = {"seconds": MESHING_SECONDS.most, "megabytes": MESHING_MEGABYTES.most}
         program = Path(__file__).with_name("_c3d_program.py")
-        data, _ = run_apart(program, str(path.absolute()), **limits)
+        data, _ = run_apart(program, str(path.absolute()))
         point, event = data["POINT"], data["EVENT"]
         rate = float(point["RATE"][0])
         # Each time is a number of minutes and one of seconds.

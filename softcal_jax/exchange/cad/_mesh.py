@@ -278,10 +278,9 @@ def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
             "'softcal-jax[cad]'."
         )
     given = {"by": by, "size": size, **given, "sharp": meshes.SHARP, "most": TETS.most}
-    seconds, megabytes = MESHING_SECONDS.most, MESHING_MEGABYTES.most
     name = "fTetWild" if by == "pytetwild" else "gmsh"
     try:
-        made, _ = run_apart(PROGRAM, given, seconds=seconds, megabytes=megabytes)
+        made, _ = run_apart(PROGRAM, given)
     except OverflowError as error:
         raise TETS.error(*error.args) from error
     except TimeoutError as error:
