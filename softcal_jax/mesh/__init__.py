@@ -5,7 +5,6 @@ metres.
 """
 
 from softcal_jax.mesh._generators import (
-    Filling as Filling,
     Grid as Grid,
     beam as beam,
     fill as fill,

@@ -17,7 +17,7 @@ import numpy as np
 
 from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file
-from softcal_jax._places import MESHING_MEGABYTES, MESHING_SECONDS, TETS, LimitError
+from softcal_jax._places import TETS, LimitError
 from softcal_jax._text import SoftcalWarning, check_known, escaped, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
@@ -35,9 +35,7 @@ class MeshWarning(SoftcalWarning):
 
 @lru_cache(maxsize=4)  # sweeps and notebooks read a mesh again and again
 def _by_library(suffix: str, content: bytes) -> tuple[meshio.Mesh, str]:
-    program, given = Path(__file__).with_name("_program.py"), (suffix, content)
-    limits = {"seconds": MESHING_SECONDS.most, "megabytes": MESHING_MEGABYTES.most}
-    return run_apart(program, given, **limits)
+    return run_apart(Path(__file__).with_name("_program.py"), (suffix, content))
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
@@ -213,9 +211,9 @@ def _left_out(raw: meshio.Mesh) -> list[str]:
     left_out = Counter()
     for k, block in enumerate(raw.cells):
         if block.type not in _TETS:
-            used = {i for blocks in raw.cell_sets.values() for i in blocks[k]}
-            left_out[block.type] += len(block)
-            left_out[block.type] -= len(used) * (block.type in _GROUP_CELLS)
+            sets = (np.asarray(of[k], int) for of in raw.cell_sets.values())
+            n_used = np.unique(np.concatenate([np.empty(0, int), *sets])).size
+            left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
     listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
     note = (
         f"left out: {listed}. Tets are read; triangles, lines and vertices only where "
@@ -255,9 +253,9 @@ def _with_groups(
     for key in {**raw.cell_sets, **raw.point_sets}:
         name = escaped(key)
         blocks = {
-            k: np.asarray(members)
+            k: np.asarray(members, int)
             for k, members in enumerate(raw.cell_sets.get(key, ()))
-            if len(members) and raw.cells[k].type in _GROUP_CELLS
+            if np.size(members) and raw.cells[k].type in _GROUP_CELLS
         }
         cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
         nodes = np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])

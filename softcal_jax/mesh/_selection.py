@@ -34,7 +34,7 @@ class AbstractRegion(Module):
         tolerance: Distance at which a point still counts as inside [m].
     """
 
-    tolerance: eqx.AbstractVar[float]
+    tolerance: float = eqx.field(default=_ROUNDING, kw_only=True)
 
     def _check(self, names: tuple[str, ...], *, infinite: bool = False):
         """Check that attributes are vectors of three numbers."""
@@ -68,7 +68,6 @@ class Box(AbstractRegion):
     upper: Float[HostArray, "3"] = eqx.field(
         converter=_as_vector, metadata=key("m", 'a corner: "(0, 30, 30) mm"', "any")
     )
-    tolerance: float = _ROUNDING
 
     def __check_init__(self):
         # Infinite sides are allowed: they select half-spaces and slabs.
@@ -99,7 +98,6 @@ class Plane(AbstractRegion):
     normal: Float[HostArray, "3"] = eqx.field(
         converter=_as_vector, metadata=key("", 'its direction: "z" or [0, 0, 1]')
     )
-    tolerance: float = _ROUNDING
 
     def __check_init__(self):
         self._check(("point", "normal"))
@@ -127,7 +125,6 @@ class Sphere(AbstractRegion):
         converter=_as_vector, metadata=key("m", 'its centre: "(0, 0, 0) mm"')
     )
     radius: float = eqx.field(metadata=RADIUS)
-    tolerance: float = _ROUNDING
 
     def __check_init__(self):
         self._check(("centre",))
@@ -207,7 +204,6 @@ class Annulus(AbstractTube):
         metadata=key("m", 'the radius of its hole: "4 mm"', "not negative")
     )
     outer: float = eqx.field(metadata=key("m", 'its outer radius: "6 mm"', "positive"))
-    tolerance: float = _ROUNDING
 
     @property
     def radii(self) -> tuple[float, float]:
@@ -222,7 +218,6 @@ class Cylinder(AbstractTube):
     """
 
     radius: float = eqx.field(metadata=RADIUS)
-    tolerance: float = _ROUNDING
 
     @property
     def radii(self) -> tuple[float, float]:
