@@ -37,6 +37,9 @@ _UPPER[np.triu_indices(6)] = _UPPER.T[np.triu_indices(6)] = np.arange(21)
 class AbstractElasticity(Module):
     """A stiffness tensor C with its minor and major symmetries."""
 
+    def __check_init__(self):
+        check_constants(self)
+
     @abstractmethod
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress C : strain for a symmetric strain [Pa]."""
@@ -111,9 +114,6 @@ class Isotropic(AbstractElasticity):
 
     E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
     nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
-
-    def __check_init__(self):
-        check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         lam, mu = lame(self.E, self.nu)

@@ -1,7 +1,7 @@
 """Rubbers: neo-Hookean, and the nearly incompressible ones of two invariants."""
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,11 +57,11 @@ class NeoHookean(AbstractLaw):
         return mu * paired(jnp.eye(3), jnp.eye(3)) + lam * outer(G, G) + across
 
 
-RUBBER_RATIO = constant(
-    "", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5), kind=POISSON
-)
-INCOMPRESSIBLE = 0.499
-"""Default of Poisson's ratio: 500 times as stiff against volume change as in shear."""
+def rubber_ratio() -> Any:
+    """Declare Poisson's ratio, by default 500 times as stiff in volume as in shear."""
+    words = "Poisson's ratio at small strain: 0.499"
+    metadata = constant("", words, within=(0.0, 0.5), kind=POISSON)
+    return eqx.field(converter=as_field, default=0.499, metadata=metadata)
 
 
 def signed(words: str):
@@ -222,9 +222,7 @@ class MooneyRivlin(AbstractInvariantRubber):
 
     c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
     c01: Constant = eqx.field(converter=as_field, metadata=_SECOND)
-    nu: Constant = eqx.field(
-        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
-    )
+    nu: Constant = rubber_ratio()
 
     def shear_modulus(self) -> Constant:
         return 2.0 * (self.c10 + self.c01)
@@ -253,9 +251,7 @@ class Yeoh(AbstractInvariantRubber):
     c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
     c20: Constant = eqx.field(converter=as_field, metadata=_SOFTENING)
     c30: Constant = eqx.field(converter=as_field, metadata=_STIFFENING)
-    nu: Constant = eqx.field(
-        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
-    )
+    nu: Constant = rubber_ratio()
 
     def shear_modulus(self) -> Constant:
         return 2.0 * self.c10
@@ -295,9 +291,7 @@ class Gent(AbstractInvariantRubber):
         converter=as_field,
         metadata=constant("", "limit of i1 - 3: 80", within=(0.0, jnp.inf)),
     )
-    nu: Constant = eqx.field(
-        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
-    )
+    nu: Constant = rubber_ratio()
 
     def shear_modulus(self) -> Constant:
         return self.mu

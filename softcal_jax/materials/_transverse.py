@@ -169,9 +169,6 @@ class ReducedTransverseIsotropic(AbstractElasticity):
     nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
     fibre: Fibre
 
-    def __check_init__(self):
-        check_constants(self)
-
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         root_t = jnp.sqrt(self.E_t)
         step = jnp.sqrt(self.E_l) - root_t  # B = root_t I + step u u^T
