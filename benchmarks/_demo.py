@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from softcal_jax.equilibrium import Formulation
-from softcal_jax.robots import silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 
 class Variant(NamedTuple):
@@ -35,7 +35,7 @@ def copy_demo(folder: Path, variant: Variant) -> Path:
     Raises:
         RuntimeError: If the file no longer has the keys that are replaced here.
     """
-    source = silicone_beam_path()
+    source = ready_made_path("beam")
     path = Path(shutil.copytree(source.parent, folder)) / source.name
     text = path.read_text(encoding="utf-8")
     path.write_text(_edited(text, variant), encoding="utf-8")

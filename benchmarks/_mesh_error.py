@@ -35,8 +35,8 @@ def main() -> None:
         fit = (robot.model, robot.space, configurations)
         options = {"starts": 1, "noise": "stated"}
     else:
-        path = {"beam": robots.silicone_beam_path, "arm": robots.pneumatic_arm_path}
-        project = load_project(path[name]())
+        robot_name = {"beam": "beam", "arm": "pneumatic-arm"}[name]
+        project = load_project(robots.ready_made_path(robot_name))
         assert project.space is not None
         fit = (project.model, project.space, project.calibration)
         options = {"starts": project.starts, "noise": project.noise}

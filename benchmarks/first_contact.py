@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks._browser import visit
 from benchmarks._problem import Figure, Goal, Options, Outcome
 from benchmarks._timing import ROOT, run_process
-from softcal_jax.robots import silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 COUNTS = {"import": 5, "check": 3, "report": 1, "docs": 1, "readme": 1}
 GOALS = {
@@ -103,7 +103,8 @@ def check_seconds(repeats: int) -> tuple[list[float], int]:
                 "JAX_ENABLE_COMPILATION_CACHE": "true",
                 "JAX_COMPILATION_CACHE_DIR": str(kept),
             }
-            command = [*SOFTCAL, "check", str(silicone_beam_path()), "-o", str(picture)]
+            beam = str(ready_made_path("beam"))
+            command = [*SOFTCAL, "check", beam, "-o", str(picture)]
             begin = time.perf_counter()
             run_process(command, environment)
             times.append(time.perf_counter() - begin)

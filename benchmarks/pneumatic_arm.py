@@ -27,7 +27,7 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.identifiability import Assessment, assess
 from softcal_jax.project import Project, load_project
-from softcal_jax.robots import pneumatic_arm_path
+from softcal_jax.robots import ready_made_path
 
 BETWEEN = ("150 mbar", "250 mbar")
 BEYOND = ("350 mbar", "400 mbar")
@@ -42,7 +42,7 @@ GOALS = {
 def run(options: Options) -> Outcome:
     """Two calibrations."""
     options.say("silicone with hoops")
-    project, wound, assessment = calibrated(pneumatic_arm_path())
+    project, wound, assessment = calibrated(ready_made_path("pneumatic-arm"))
     options.say(_in_words(wound))
     poses = wound.configurations
     figures: dict[str, Figure] = {
@@ -66,7 +66,7 @@ def run(options: Options) -> Outcome:
     figures["J_m_standard_error"] = fitted["J_m"].standard_error
     options.say("plain silicone")
     with tempfile.TemporaryDirectory() as folder:
-        path = pneumatic_arm_path()
+        path = ready_made_path("pneumatic-arm")
         copy = Path(shutil.copytree(path.parent, Path(folder) / "arm")) / path.name
         copy.write_text(plain(copy.read_text(encoding="utf-8")), encoding="utf-8")
         _, silicone, doubted = calibrated(copy)

@@ -24,7 +24,7 @@ from softcal_jax.plotting import (
     render_configuration,
 )
 from softcal_jax.plotting._figure import BAD, FAINT, GOOD, SERIES, TEXT
-from softcal_jax.robots import ready_made_path, silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -58,7 +58,7 @@ COLOURS = {"identifiable": GOOD, "not identifiable": BAD}
 def draw(folder: Path) -> None:
     """Write all figures into a folder: two charts of the page, and a picture."""
     folder.mkdir(parents=True, exist_ok=True)
-    result = sc.load_project(silicone_beam_path()).calibrate()
+    result = sc.load_project(ready_made_path("beam")).calibrate()
     courses = [
         partial(draw_course, result=result, name=name)
         for name in ("rms", "lambda_p", "E")

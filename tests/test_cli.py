@@ -19,7 +19,7 @@ from softcal_jax._files import sha256_of
 from softcal_jax.cli import _shared, main
 from softcal_jax.export import RESULT_FORMAT, results_folder
 from softcal_jax.mistakes import Mistake
-from softcal_jax.robots import silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 
 @pytest.fixture
@@ -490,7 +490,7 @@ def test_demo_writes_its_project(tmp_path, capsys):
     folder = tmp_path / "mine"
     assert main(["demo", "--write", str(folder)]) == 0
     assert f"softcal calibrate {folder / 'project.toml'} -o" in capsys.readouterr().out
-    source = silicone_beam_path().parent
+    source = ready_made_path("beam").parent
     brought = ("LICENSE-recordings.txt", "README.md", "markers.csv", "project.toml")
     assert sorted(path.name for path in folder.iterdir()) == list(brought)
     for name in brought:

@@ -36,7 +36,7 @@ from softcal_jax.configurations import EffectorRecord
 from softcal_jax.export import KEYS, OTHER, POINT
 from softcal_jax.identifiability import Assessment, Identifiability
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.robots import silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 COARSE = ("cells = [14, 6, 6]", "cells = [6, 3, 3]")
 """The demo's mesh, and one that is made sooner."""
@@ -88,7 +88,7 @@ def refusal(change: str) -> Refused:
     Raises:
         ValueError: If the change does not apply, or the file is not refused.
     """
-    path = silicone_beam_path()
+    path = ready_made_path("beam")
     right = path.read_text(encoding="utf-8").replace(*COARSE)
     old, new = (part.strip() for part in change.split(ARROW))
     if old not in right:

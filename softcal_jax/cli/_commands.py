@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def demo(args: argparse.Namespace, show: cli.Display) -> None:
-    from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
+    from softcal_jax.robots import ready_made_path
 
-    path = {"beam": silicone_beam_path, "arm": pneumatic_arm_path}[args.robot]()
+    path = ready_made_path({"beam": "beam", "arm": "pneumatic-arm"}[args.robot])
     if args.write is None:
         args.project = path
         return calibrate(args, show)

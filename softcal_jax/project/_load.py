@@ -46,7 +46,7 @@ def load_project(
     """Read a project file, build all that it describes, and check it.
 
     Nothing is solved. Paths in the file are relative to the file. The commented file
-    `softcal_jax.robots.silicone_beam_path()` explains the keys.
+    `softcal_jax.robots.ready_made_path("beam")` explains the keys.
 
     Args:
         path: A TOML file.

@@ -4,9 +4,7 @@ from softcal_jax.robots._ready_made import (
     READY_MADE as READY_MADE,
     AnisotropicBeam as AnisotropicBeam,
     anisotropic_beam as anisotropic_beam,
-    pneumatic_arm_path as pneumatic_arm_path,
     ready_made_path as ready_made_path,
-    silicone_beam_path as silicone_beam_path,
     simulated_measurements as simulated_measurements,
     synthetic_measurements as synthetic_measurements,
 )

@@ -163,26 +163,14 @@ def ready_made_path(name: str) -> Path:
     """Return the project file of a ready-made robot, by its name in `READY_MADE`.
 
     The readings of "beam", "pneumatic-arm", "tentacle" and "emio" were measured, those
-    of the others computed; README.md beside each says how.
+    of the others computed; README.md beside each says how. The recordings of
+    "pneumatic-arm" need ezc3d: pip install 'softcal-jax[mocap]'.
 
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
     """
     check_known("robot", READY_MADE, name)
     return Path(str(files("softcal_jax.robots"))) / READY_MADE[name] / "project.toml"
-
-
-def silicone_beam_path() -> Path:
-    """Return the project file of the clamped silicone beam of `softcal demo`."""
-    return ready_made_path("beam")
-
-
-def pneumatic_arm_path() -> Path:
-    """Return the project file of the pneumatic arm of `softcal demo arm`.
-
-    Its recordings are .c3d files, which need ezc3d: pip install 'softcal-jax[mocap]'.
-    """
-    return ready_made_path("pneumatic-arm")
 
 
 class AnisotropicBeam(Module):

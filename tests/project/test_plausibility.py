@@ -13,7 +13,7 @@ from softcal_jax.equilibrium import build_model
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.project import ProjectWarning, implausible, load_project
-from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 FORCE = 'force = "(20, 0, -50) mN"'
 GRAVITY = 'gravity = "(0, 0, -9.81) m/s^2"'
@@ -34,12 +34,12 @@ def test_a_usual_project_says_nothing(tmp_path):
 
 
 # Warnings are errors in tests/robots/test_pneumatic_arm.py, which loads it, too.
-@pytest.mark.parametrize("robot", [silicone_beam_path, pneumatic_arm_path])
+@pytest.mark.parametrize("robot", ["beam", "pneumatic-arm"])
 def test_nor_do_the_demos(robot):
     pytest.importorskip("ezc3d")
     with warnings.catch_warnings():
         warnings.simplefilter("error", ProjectWarning)
-        load_project(robot())
+        load_project(ready_made_path(robot))
 
 
 @pytest.mark.parametrize("density", ["1 kg/m^3", "1000 g/cm^3"])

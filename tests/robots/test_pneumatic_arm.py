@@ -8,7 +8,7 @@ from benchmarks.pneumatic_arm import plain
 from softcal_jax.cli import main
 from softcal_jax.materials import FibreReinforced
 from softcal_jax.project import load_project
-from softcal_jax.robots import pneumatic_arm_path
+from softcal_jax.robots import ready_made_path
 
 pytest.importorskip("ezc3d")
 
@@ -41,7 +41,7 @@ def project(folder):
 
 
 def test_the_demo_writes_all_that_is_packaged(folder, project):
-    source = pneumatic_arm_path().parent
+    source = ready_made_path("pneumatic-arm").parent
     for file in (*project.files, folder / "README.md"):
         assert file.read_bytes() == (source / file.name).read_bytes()
 

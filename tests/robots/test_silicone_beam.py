@@ -4,11 +4,11 @@ import numpy as np
 
 from softcal_jax.configurations import read_markers
 from softcal_jax.project import load_project
-from softcal_jax.robots import silicone_beam_path
+from softcal_jax.robots import ready_made_path
 
 
 def test_files():
-    folder = silicone_beam_path().parent
+    folder = ready_made_path("beam").parent
     assert {"project.toml", "markers.csv", "README.md"} <= {
         path.name for path in folder.iterdir()
     }
@@ -21,7 +21,7 @@ def test_files():
 def test_figures():
     """One line of the source's table, typed by hand."""
     markers = read_markers(
-        silicone_beam_path().with_name("markers.csv"),
+        ready_made_path("beam").with_name("markers.csv"),
         select={"run": "load101", "phase": "loaded"},
     )
     assert markers.names == ("1", "2", "3", "4", "5", "6")
@@ -32,7 +32,7 @@ def test_figures():
 
 def test_project():
     """The body and the loads of the paper; registration to about a millimetre."""
-    project = load_project(silicone_beam_path())
+    project = load_project(ready_made_path("beam"))
     assert [c.name for c in project.calibration] == ["gravity", "load101"]
     assert [c.name for c in project.validation] == ["load52"]
     mesh = project.model.mesh
