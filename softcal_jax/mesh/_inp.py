@@ -209,7 +209,7 @@ class _Model:
         if lost := set().union(*of_cells.values()) - elements.keys():
             raise ValueError(f"no *ELEMENT line defines element {min(lost)}.")
         nodes_of = lambda e: [index[node] for node in elements[e][1]]
-        rows = lambda block, members: [k for k, e in enumerate(block) if e in members]
+        rows = lambda block, of: np.flatnonzero([e in of for e in block])
         try:
             return meshio.Mesh(
                 np.array([place for _, place in points.values()]),

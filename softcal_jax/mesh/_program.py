@@ -108,7 +108,7 @@ def read_vtk(path: str, content: bytes) -> meshio.Mesh:
 def with_sets(mesh: meshio.Mesh) -> meshio.Mesh:
     """Turn Gmsh's physical groups and MED's families into sets, whatever the format."""
     cells: dict[str, Any] = {
-        name: [np.array([] if of is None else of, int) for of in blocks]
+        name: [np.unique([] if of is None else of).astype(int) for of in blocks]
         for name, blocks in mesh.cell_sets.items()
         if not name.startswith("gmsh:")
     }

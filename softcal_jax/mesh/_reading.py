@@ -65,7 +65,7 @@ _SMALL = 5e-4  # a mesh below this size [m] may have a wrong unit
 
 _TETS = ("tetra", "tetra10")
 _TRIANGLES = ("triangle", "triangle6")
-_GROUP_CELLS = (*_TETS, *_TRIANGLES, "line", "line3", "vertex")
+_OTHERS = ("line", "line3", "vertex")  # cells of which groups keep the nodes alone
 # Exchanges corners 1 and 2, and the mid nodes accordingly.
 _MIRRORED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
 
@@ -148,18 +148,15 @@ def read_tet_data(
     raw = read_raw(path, [])
     if name not in raw.cell_data:
         raise ValueError(f"{path}: {unknown_name('cell array', name, raw.cell_data)}")
-    parts = [
-        np.asarray(values, float).reshape(len(block), -1)
-        for block, values in zip(raw.cells, raw.cell_data[name], strict=True)
-        if block.type in _TETS and len(block)
-    ]
-    return np.concatenate(parts)
+    values = raw.cell_data_dict[name]
+    rows = np.concatenate([values[kind] for kind in _TETS if len(values.get(kind, ()))])
+    return rows.astype(float).reshape(len(rows), -1)
 
 
 def _build(
     path: Path, raw: meshio.Mesh, scale: float, unused: str, notes: list[str]
 ) -> TetMesh:
-    tets, first = _tets(raw)
+    tets = raw.get_cells_type(_kind_of_tets(raw))
     if raw.points.ndim != 2 or raw.points.shape[1] != 3:
         raise ValueError(f"its points have the shape {raw.points.shape}, not (n, 3).")
     for block in raw.cells:
@@ -168,17 +165,15 @@ def _build(
             raise ValueError(f"a {block.type} cell refers to a node that is not there.")
     notes += _left_out(raw)
     index = _new_indices(raw, tets, unused)
-    points = raw.points[index >= 0] * scale
-    tets = index[tets]
+    points, tets = raw.points[index >= 0] * scale, index[tets]
     left_handed = path.suffix.lower() == ".med"  # the convention of MED
     if left_handed and (volumes(TetMesh(points, tets[:, :4])) < 0).all():
         tets = tets[:, _MIRRORED[: tets.shape[1]]]
-    mesh = TetMesh(points, tets)
-    return _with_groups(raw, mesh, index, first, notes)
+    return _with_groups(raw, TetMesh(points, tets), index, notes)
 
 
-def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
-    """Collect all tets, and the index of the first one of each block."""
+def _kind_of_tets(raw: meshio.Mesh) -> str:
+    """Return what meshio calls the tets, of which alone the volume must be."""
     kinds = Counter()
     for block in raw.cells:
         kinds[block.type] += len(block)
@@ -202,18 +197,16 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
             f"it mixes {kinds['tetra']} linear (tetra) and {kinds['tetra10']} "
             "quadratic (tetra10) tets; export it with one order."
         )
-    blocks = {k: b.data for k, b in enumerate(raw.cells) if b.type in _TETS and len(b)}
-    starts = np.cumsum([0, *map(len, blocks.values())]).tolist()
-    return np.concatenate([*blocks.values()]), dict(zip(blocks, starts, strict=False))
+    return "tetra" if kinds["tetra"] else "tetra10"
 
 
 def _left_out(raw: meshio.Mesh) -> list[str]:
-    left_out = Counter()
-    for k, block in enumerate(raw.cells):
+    left_out, sets = Counter(), raw.cell_sets_dict.values()
+    for block in raw.cells:
         if block.type not in _TETS:
-            sets = (np.asarray(of[k], int) for of in raw.cell_sets.values())
-            n_used = np.unique(np.concatenate([np.empty(0, int), *sets])).size
-            left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
+            left_out[block.type] += len(block)
+    for kind in left_out.keys() & {*_TRIANGLES, *_OTHERS}:
+        left_out[kind] -= len({cell for of in sets for cell in of.get(kind, ())})
     listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
     note = (
         f"left out: {listed}. Tets are read; triangles, lines and vertices only where "
@@ -224,9 +217,8 @@ def _left_out(raw: meshio.Mesh) -> list[str]:
 
 def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
     """Compute the new index of each node of the file, -1 if no tet uses it."""
-    kept = np.zeros(len(raw.points), dtype=bool)
+    kept, known = np.zeros((2, len(raw.points)), dtype=bool)
     kept[tets] = True
-    known = kept.copy()
     for block in raw.cells:
         known[np.asarray(block.data)] = True
     loose = np.flatnonzero(~known)
@@ -240,25 +232,19 @@ def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
 
 
 def _with_groups(
-    raw: meshio.Mesh,
-    mesh: TetMesh,
-    index: HostArray,
-    first: dict[int, int],
-    notes: list[str],
+    raw: meshio.Mesh, mesh: TetMesh, index: HostArray, notes: list[str]
 ) -> TetMesh:
+    kinds, sets = (*_TETS, *_TRIANGLES, *_OTHERS), raw.cell_sets_dict
+    cells = {kind: raw.get_cells_type(kind) for kind in kinds}
     node_groups, surface_groups, tet_groups = {}, {}, {}
     all_faces = tet_faces(mesh.tets)
     corners = np.sort(all_faces[:, :3], axis=1).tolist()
     position = {tuple(face): where for where, face in enumerate(corners)}
-    for key in {**raw.cell_sets, **raw.point_sets}:
+    for key in {**sets, **raw.point_sets}:
         name = escaped(key)
-        blocks = {
-            k: np.asarray(members, int)
-            for k, members in enumerate(raw.cell_sets.get(key, ()))
-            if np.size(members) and raw.cells[k].type in _GROUP_CELLS
-        }
-        cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
-        nodes = np.concatenate([np.empty(0, int), *map(np.ravel, cells.values())])
+        members = {k: of for k, of in sets.get(key, {}).items() if k in kinds}
+        used = {kind: index[cells[kind][of]] for kind, of in members.items()}
+        nodes = np.concatenate([np.empty(0, int), *map(np.ravel, used.values())])
         if key in raw.point_sets:  # also where a set of elements is called the same
             nodes = index[np.asarray(raw.point_sets[key], int)]
         nodes = np.unique(nodes[nodes >= 0])
@@ -266,12 +252,9 @@ def _with_groups(
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
             continue
         node_groups[name] = nodes
-        tets = [first[k] + members for k, members in blocks.items() if k in first]
-        if tets:
-            tet_groups[name] = np.unique(np.concatenate(tets))
-        triangles = [
-            c[:, :3] for k, c in cells.items() if raw.cells[k].type in _TRIANGLES
-        ]
+        if (kind := _TETS[mesh.order - 1]) in members:
+            tet_groups[name] = members[kind]
+        triangles = [used[kind][:, :3] for kind in _TRIANGLES if kind in used]
         if triangles:
             # Of either orientation; `all_faces` have mid nodes and outward normals.
             corners = np.sort(np.concatenate(triangles), axis=1).tolist()

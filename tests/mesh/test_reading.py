@@ -212,6 +212,17 @@ def test_other_cells_are_named(tmp_path):
     assert mesh.surface_groups == {}
 
 
+def test_polygons_of_any_number_of_sides_are_left_out(tmp_path):
+    kinds = [pyvista.CellType.TETRA] * BEAM.n_tets + [pyvista.CellType.POLYGON] * 2
+    polygons = [5, *range(5), 6, *range(6)]
+    cells = np.concatenate([np.insert(BEAM.tets, 0, 4, axis=1).ravel(), polygons])
+    path = tmp_path / "polygons.vtu"
+    pyvista.UnstructuredGrid(cells, np.array(kinds), BEAM.points).save(path)
+    with pytest.warns(MeshWarning, match=r"left out: 2 polygon\."):
+        mesh = read_mesh(path, length_unit="m")
+    np.testing.assert_array_equal(mesh.tets, BEAM.tets)
+
+
 def test_triangles_that_are_no_faces(tmp_path):
     mesh, raw = _with_physical_groups(1)
     triangles = raw.cells[2].data.copy()
