@@ -217,9 +217,12 @@ def barycentric_in_tets(
     if X.shape[1] == 4:
         return b
     step = np.zeros((len(X), 3))
-    # Far outside a curved tet its map folds: keep the iteration near the tet.
     for _ in range(_MAX_STEPS):
-        step = _newton_step(X, b, points)
+        x = np.einsum("na,nai->ni", shape_functions(b, X.shape[1]), X)
+        J = np.einsum("nai,naj->nij", X, shape_gradients(b, X.shape[1]))
+        J[np.abs(np.linalg.det(J)) < np.finfo(float).tiny] = np.eye(3)
+        step = np.linalg.solve(J, (points - x)[..., None])[..., 0]
+        # Far outside a curved tet its map folds: keep the iteration near the tet.
         b = barycentric_of(np.clip(b[:, 1:] + step, -1.0, 2.0))
         if (np.abs(step) < _STEP).all():
             break
@@ -230,14 +233,6 @@ def barycentric_in_tets(
 def barycentric_of(xi: Float[HostArray, "*points d"]) -> HostArray:
     """Convert reference to barycentric coordinates, which sum to one."""
     return np.concatenate([1.0 - xi.sum(axis=-1, keepdims=True), xi], axis=-1)
-
-
-def _newton_step(X: HostArray, b: HostArray, points: HostArray) -> HostArray:
-    x = np.einsum("na,nai->ni", shape_functions(b, X.shape[1]), X)
-    J = np.einsum("nai,naj->nij", X, shape_gradients(b, X.shape[1]))
-    singular = np.abs(np.linalg.det(J)) < np.finfo(float).tiny
-    J[singular] = np.eye(3)
-    return np.linalg.solve(J, (points - x)[..., None])[..., 0]
 
 
 def nearest_on_triangles(

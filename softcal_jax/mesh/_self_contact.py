@@ -97,8 +97,10 @@ def self_contact(
     # A node may lie on a face of two tets.
     _, first = np.unique(node[order], return_index=True)
     order = order[np.sort(first)]
-    nodes = node[order]
-    return SelfContact(nodes, depth[order], _where(mesh, int(nodes[0])))
+    deepest = node[order[0]]
+    names = [name for name, of in mesh.surface_groups.items() if deepest in of]
+    where = names[0] if names else place(mesh.points[deepest])
+    return SelfContact(node[order], depth[order], f"near {where}")
 
 
 def _inside(
@@ -148,11 +150,3 @@ def _depth(mesh: TetMesh, points: Float[HostArray, "n 3"]) -> Float[HostArray, "
     surface = pyvista.PolyData.from_regular_faces(X, cut.triangles)
     cloud = pyvista.PolyData(points).compute_implicit_distance(surface)
     return np.abs(np.asarray(cloud["implicit_distance"]))
-
-
-def _where(mesh: TetMesh, node: int) -> str:
-    """Name a surface group that a node belongs to, else its position."""
-    for name, faces in mesh.surface_groups.items():
-        if node in faces:
-            return f"near {name}"
-    return f"near {place(mesh.points[node])}"

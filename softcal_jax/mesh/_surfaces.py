@@ -291,8 +291,7 @@ class _FaceGraph:
         """Number the faces of the CAD model, or what is between sharp edges."""
         labels = self.parts(SHARP)
         for k, name in enumerate(filter(CAD_FACE.fullmatch, self.mesh.surface_groups)):
-            rows = self.rows(self.mesh.faces(name))
-            labels[rows[rows >= 0]] = -1 - k
+            labels[self.of_groups([name])] = -1 - k
         return labels
 
     def void(self, chosen: Bool[HostArray, " n_faces"]) -> float:

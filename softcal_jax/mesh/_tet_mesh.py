@@ -258,20 +258,18 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
             )
         surfaces[name] = np.hstack([faces, n + np.searchsorted(known, sides)])
 
+    same = lambda nodes, cells: np.array_equal(np.unique(nodes), np.unique(cells))
+
     def grown(name: str, nodes: HostArray) -> HostArray:
-        if name in surfaces and _same(nodes, mesh.surface_groups[name]):
+        if name in surfaces and same(nodes, mesh.surface_groups[name]):
             return np.unique(surfaces[name])
-        if name in mesh.tet_groups and _same(nodes, mesh.tets[mesh.tet_groups[name]]):
+        if name in mesh.tet_groups and same(nodes, mesh.tets[mesh.tet_groups[name]]):
             return np.unique(tets[mesh.tet_groups[name]])
         within = np.isin(edges, nodes).all(axis=1)
         return np.concatenate([np.unique(nodes), n + np.flatnonzero(within)])
 
     nodes = {name: grown(name, group) for name, group in mesh.node_groups.items()}
     return TetMesh(points, tets, nodes, surfaces, mesh.tet_groups)
-
-
-def _same(nodes: HostArray, cells: HostArray) -> bool:
-    return np.array_equal(np.unique(nodes), np.unique(cells))
 
 
 def to_linear(mesh: TetMesh) -> TetMesh:
