@@ -55,6 +55,12 @@ class ActuatorArrays(Module):
         return np.array([k.displacement_unit is not None for k in self.kinds], bool)
 
     @property
+    def motors(self) -> dict[str, int]:
+        """Index of the rigid body that each motor turns, by the name of the motor."""
+        both = zip(self.names, self.motor_body, strict=True)
+        return {name: body for name, body in both if body >= 0}
+
+    @property
     def symmetric(self) -> bool:
         """Whether all have a potential, which makes their tangent symmetric."""
         return all(isinstance(g, AbstractPotentialCliques) for g in self.groups)

@@ -152,8 +152,9 @@ def check_held(
     obstacles = np.array(mechanism.contacts.body, int)
     if np.any(kind[bodies.owner][obstacles] != KINDS.index("absent")):
         return
-    motors = [n for n, b in motors_of(mechanism) if kind[b] == KINDS.index("hinged")]
-    if motors and balanced:
+    motors = mechanism.actuators.motors.items()
+    hinged = [name for name, body in motors if kind[body] == KINDS.index("hinged")]
+    if hinged and balanced:
         kind = np.where(kind == KINDS.index("hinged"), KINDS.index("held"), kind)
     size = np.abs(mesh.points - centre).max()
     motions = lambda x: np.concatenate(
@@ -177,14 +178,8 @@ def check_held(
         raise ValueError(
             f"configuration {name!r} is not held: its supports ({nodes} nodes) leave "
             f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            f"or hold a rigid body.{hint.format(motors[0]) if motors else ''}"
+            f"or hold a rigid body.{hint.format(hinged[0]) if hinged else ''}"
         )
-
-
-def motors_of(mechanism: Mechanism) -> list[tuple[str, int]]:
-    """Return names of the motors, and indices of the bodies that they turn."""
-    both = zip(mechanism.actuators.names, mechanism.actuators.motor_body, strict=True)
-    return [(name, body) for name, body in both if body >= 0]
 
 
 class AbstractLoad(Module):

@@ -30,14 +30,12 @@ from softcal_jax.configurations._boundary import (
     check_apart,
     check_held,
     coupled_springs,
-    motors_of,
 )
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     EffectorRecord,
     EffectorRow,
     Unstated,
-    effector_record,
     stack_effectors,
 )
 from softcal_jax.configurations._markers import Markers, marker_rows
@@ -189,14 +187,12 @@ def configuration_lanes(
     named = dict.fromkeys(load.name for c in configurations for load in c.loads)
     loads = (*named,) or (UNNAMED_LOADS,)
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
-    lanes, records = [], []
-    every = zip(configurations, rows, stack_effectors(rows), strict=True)
-    for c, of_c, (effectors, indices) in every:
-        lanes.append(_lane(mesh, mechanism, c, effectors, springs=springs, loads=loads))
-        numbered = zip(of_c, indices, strict=True)
-        described = (effector_record(*both, mechanism.points) for both in numbered)
-        records.append(tuple(described))
-    return ConfigurationLanes(stacked(lanes), tuple(records))
+    effectors, records = zip(*stack_effectors(rows, mechanism.points), strict=True)
+    lanes = [
+        _lane(mesh, mechanism, c, of_c, springs=springs, loads=loads)
+        for c, of_c in zip(configurations, effectors, strict=True)
+    ]
+    return ConfigurationLanes(stacked(lanes), records)
 
 
 def _lane(
@@ -222,12 +218,11 @@ def _lane(
     for load in c.loads:
         force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
-    motors = motors_of(mechanism)
-    for name, k in motors:
+    motors = mechanism.actuators.motors
+    for name, k in motors.items():
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
         kind[k] = KINDS.index("held" if by_angle else "hinged")
-    others = set(c.actuation) - {name for name, _ in motors}
-    balanced = bool(np.any(c.gravity) or c.loads or others)
+    balanced = bool(np.any(c.gravity) or c.loads or {*c.actuation} - {*motors})
     check_held(mesh, mechanism, fixed | sprung, kind, name=c.name, balanced=balanced)
     _check_outside(mechanism, bodies, c.name)
     # Nodes of the bodies' frames come after those of the mesh.

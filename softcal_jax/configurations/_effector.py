@@ -7,6 +7,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from typing import Any, Literal, NamedTuple
 
@@ -32,25 +33,28 @@ class Unstated(float):
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
-    A point is carried by nodes with weights [-], and `slopes` by which these change
-    where it lies elsewhere [1/m], if it can; a turn has the index of its body and
-    the reference from which it is counted. Other quantities have a function, like that
-    of `Observation`, and the number of its values. Measured values are NaN where there
-    is none, and `inverse_std` is 0 for a coordinate that does not count.
+    Measured values are NaN where there is none, and `std` is infinite for a coordinate
+    that does not count. A point is carried by nodes with weights [-], and `slopes` by
+    which these change where it lies elsewhere [1/m], if it can; a turn has the index of
+    its body and the reference from which it is counted. Other quantities have a
+    function, like that of `Observation`.
     """
 
     name: str
     quantity: Quantity
     unit: str
-    measured: Float[HostArray, "3"] = np.broadcast_to(np.nan, 3)  # cannot be written
-    inverse_std: Float[HostArray, "3"] = np.broadcast_to(0.0, 3)
+    measured: Float[HostArray, " k"]
+    std: Float[HostArray, " k"]
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
     slopes: Float[HostArray, "n 3"] = np.zeros((0, 3))
     body: int = 0
     reference: Float[HostArray, "3 3"] = np.broadcast_to(np.eye(3), (3, 3))
     function: Callable[..., Any] | None = None
-    n_values: int = 3
+
+    @property
+    def n_values(self) -> int:
+        return len(self.std)
 
     @property
     def observed(self) -> Observed | None:
@@ -59,26 +63,60 @@ class EffectorRow(NamedTuple):
             return None
         return Observed(self.name, self.n_values, self.function)
 
-    def with_value(
-        self,
-        value: float | Float[ArrayLike, "..."] | None,
-        std: float | Float[ArrayLike, "3"],
-    ) -> tuple["EffectorRow"]:
-        weight = inverse_std(self.name, "std", std, self.unit)
-        if value is None:
-            return (self,)
-        n = self.n_values
-        shape = () if n == 1 else (n,)
-        if np.shape(value) != shape or not np.all(np.isfinite(value)):
-            words = {2: "two finite numbers", 3: "three finite numbers"}
-            count = words.get(n, "a finite number")
-            raise ValueError(
-                f"effector {self.name!r} has the value {value}, expected {count} "
-                f"[{self.unit}]; leave out what was not measured."
-            )
-        measured, weights = np.full(3, np.nan), np.zeros(3)
-        measured[:n], weights[:n] = value, weight
-        return (self._replace(measured=measured, inverse_std=weights),)
+    def record(
+        self, index: int, points: Float[HostArray, "n_points 3"]
+    ) -> "EffectorRecord":
+        """Describe it by its index in the arrays and all nodes at rest [m]."""
+        is_point, nothing = self.quantity == "point", np.full(self.n_values, np.nan)
+        return EffectorRecord(
+            name=self.name,
+            quantity=self.quantity,
+            unit=self.unit,
+            index=index,
+            measured=np.where(np.isfinite(self.std), self.measured, np.nan),
+            std=self.std,
+            reference=self.reference,
+            at_rest=self.weights @ points[self.nodes] if is_point else nothing,
+            simulated_before=nothing,
+            simulated=nothing,
+        )
+
+
+def effector_row(
+    name: str,
+    quantity: Quantity,
+    unit: str,
+    value: float | Float[ArrayLike, "..."] | None,
+    std: float | Float[ArrayLike, "..."],
+    *,
+    n_values: int = 3,
+    what: str = "std",
+    **carriers: Any,
+) -> EffectorRow:
+    """Make a row with a measured value, if there is one; `what` is the key of `std`.
+
+    Raises:
+        ValueError: If the value is not as many finite numbers, or `std` not positive.
+    """
+    stds = np.asarray(std, float)
+    bad = stds[~(np.isfinite(stds) & (stds > 0.0))]
+    if bad.size:
+        raise ValueError(
+            f"{what} of effector {name!r} must be positive and finite [{unit}], got "
+            f"{bad[0]:g}."
+        )
+    shape = () if n_values == 1 else (n_values,)
+    if value is None:
+        value, stds = np.nan, np.inf
+    elif np.shape(value) != shape or not np.all(np.isfinite(value)):
+        words = {2: "two finite numbers", 3: "three finite numbers"}
+        raise ValueError(
+            f"effector {name!r} has the value {value}, expected "
+            f"{words.get(n_values, 'a finite number')} [{unit}]; leave out what was "
+            "not measured."
+        )
+    both = (np.full(n_values, numbers, float) for numbers in (value, stds))
+    return EffectorRow(name, quantity, unit, *both, **carriers)
 
 
 Readings = Float[HostArray, "k 3"]
@@ -114,8 +152,8 @@ class AbstractEffector(Module):
     ) -> tuple[EffectorRow, ...]:
         """Make the row of an effector that has only one, with its measured value."""
         one: Any = self
-        row = EffectorRow(self.name, quantity, unit, n_values=self.n_values, **carriers)
-        return row.with_value(one.measured, one.std)
+        of_each = one.name, quantity, unit, one.measured, one.std
+        return (effector_row(*of_each, n_values=self.n_values, **carriers),)
 
 
 class AbstractScalar(AbstractEffector):
@@ -124,22 +162,6 @@ class AbstractScalar(AbstractEffector):
     @property
     def n_values(self) -> int:
         return 1
-
-
-def inverse_std(
-    name: str, what: str, std: float | Float[ArrayLike, "3"], unit: str
-) -> Float[HostArray, "..."]:
-    values = np.asarray(std, float)
-    bad = values[~(np.isfinite(values) & (values > 0.0))]
-    if bad.size:
-        raise ValueError(
-            f"{what} of effector {name!r} must be positive and finite [{unit}], got "
-            f"{bad[0]:g}."
-        )
-    return np.asarray(1.0 / values)
-
-
-Rows = Sequence[EffectorRow]
 
 
 class EffectorRecord(Module):
@@ -198,27 +220,6 @@ class EffectorRecord(Module):
         return np.asarray(rows)[self.index, : len(self.std)].copy()
 
 
-def effector_record(
-    row: EffectorRow, index: int, points: Float[HostArray, "n_points 3"]
-) -> EffectorRecord:
-    """Describe a row with an index in the arrays; `points` are all nodes at rest."""
-    width = row.n_values
-    weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
-    seen, is_point = weight > 0.0, row.quantity == "point"
-    return EffectorRecord(
-        name=row.name,
-        quantity=row.quantity,
-        unit=row.unit,
-        index=index,
-        measured=np.where(seen, row.measured[:width], np.nan),
-        std=np.where(seen, 1.0 / np.where(seen, weight, 1.0), np.inf),
-        reference=row.reference,
-        at_rest=row.weights @ points[row.nodes] if is_point else nothing,
-        simulated_before=nothing,
-        simulated=nothing,
-    )
-
-
 def rms_distance(
     records: Iterable[EffectorRecord],
     values: Callable[[EffectorRecord], Float[HostArray, " k"]],
@@ -252,8 +253,16 @@ def check_numbers(
                 )
 
 
-def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
-    """Put rows of each configuration into arrays, and find the index of each row."""
+EffectorLane = tuple[EffectorArrays, tuple[EffectorRecord, ...]]
+
+
+def stack_effectors(
+    lanes: Sequence[Sequence[EffectorRow]], points: Float[HostArray, "n_points 3"]
+) -> list[EffectorLane]:
+    """Put rows of each configuration into arrays, and describe each of them.
+
+    The `points` are all nodes at rest [m].
+    """
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
     ends = [0]
     for quantity in ("point", "turn"):
@@ -263,54 +272,56 @@ def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[in
     observed = tuple(dict.fromkeys(o for o in (r.observed for r in rows) if o))
     widest = max((row.nodes.size for row in rows), default=0)
     movable = tuple(dict.fromkeys(row.name for row in rows if row.slopes.size))
-    return [_stack(lane, ends, widest, movable, observed) for lane in lanes]
+    stack = partial(_stack, points, ends, widest, movable, observed)
+    return [stack(lane) for lane in lanes]
 
 
 def _stack(
-    lane: Rows,
+    points: HostArray,
     ends: Sequence[int],
     widest: int,
     movable: tuple[str, ...],
     observed: tuple[Observed, ...],
-) -> tuple[EffectorArrays, list[int]]:
+    lane: Sequence[EffectorRow],
+) -> EffectorLane:
     """Fill in rows of points, turns and observations, which begin at the `ends`."""
     following = {"point": count(ends[0]), "turn": count(ends[1])}
-    index = lambda row: (
-        next(following[row.quantity])
-        if row.observed is None
-        else ends[2] + observed.index(row.observed)
-    )
-    indices = [index(row) for row in lane]
-    total = ends[2] + len(observed)
+    total, records = ends[2] + len(observed), []
     nodes, weights = np.zeros((total, widest), np.int32), np.zeros((total, widest))
     slopes, which = np.zeros((total, widest, 3)), np.zeros(total, np.int32)
     body, reference = np.zeros(total, np.int32), np.tile(np.eye(3), (total, 1, 1))
     measured, inverse_std = np.zeros((2, total, 3))
-    for i, row in zip(indices, lane, strict=True):
+    for row in lane:
+        if row.observed is None:
+            i = next(following[row.quantity])
+        else:
+            i = ends[2] + observed.index(row.observed)
         nodes[i, : row.nodes.size] = row.nodes
         weights[i, : row.weights.size] = row.weights
         if row.slopes.size:
             slopes[i, : len(row.slopes)] = row.slopes
             which[i] = movable.index(row.name)
         body[i], reference[i] = row.body, row.reference
-        measured[i], inverse_std[i] = np.nan_to_num(row.measured), row.inverse_std
-    points, turns = slice(ends[1]), slice(*ends[1:])
+        measured[i, : row.n_values] = np.nan_to_num(row.measured)
+        inverse_std[i, : row.n_values] = 1.0 / row.std
+        records.append(row.record(i, points))
+    of_points, turns = slice(ends[1]), slice(*ends[1:])
     arrays = EffectorArrays(
-        nodes=nodes[points],
-        weights=weights[points],
-        slopes=slopes[points],
-        which=which[points],
+        nodes=nodes[of_points],
+        weights=weights[of_points],
+        slopes=slopes[of_points],
+        which=which[of_points],
         offset=np.zeros((len(movable), 3)),
         turn_body=body[turns],
         turn_reference=reference[turns],
         measured=measured,
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
-        is_observed=np.isin(np.arange(ends[2], total), indices),
+        is_observed=np.isin(np.arange(ends[2], total), [r.index for r in records]),
         movable=movable,
         observed=observed,
     )
-    return arrays, indices
+    return arrays, tuple(records)
 
 
 FAR = 3.0

@@ -25,7 +25,7 @@ from softcal_jax.configurations._effector import (
     EffectorRow,
     Readings,
     Unstated,
-    inverse_std,
+    effector_row,
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, node_indices
@@ -99,23 +99,18 @@ class BodyFrame(AbstractEffector):
     )
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        bodies = mechanism.bodies
-        k, point = self._place(bodies)
+        k, point = self._place(mechanism.bodies)
         nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
-        weights, *along = bodies.at(k, point + np.eye(4, 3, -1))
+        weights, *along = mechanism.bodies.at(k, point + np.eye(4, 3, -1))
         slopes = np.array(along).T - weights[:, None]
         carriers = {"nodes": nodes, "weights": weights, "slopes": slopes}
-        row = EffectorRow(self.name, "point", "m", **carriers)
-        turn = EffectorRow(self.name, "turn", "rad", body=k)
-        weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
-        if self.measured is None:
-            return (*row.with_value(None, self.std), turn)
-        turn = turn._replace(
-            measured=np.zeros(3),
-            inverse_std=np.broadcast_to(weight_angle, 3),
-            reference=self.measured.matrix,
+        seen, pose = self.measured is not None, self.measured or Pose()
+        value, turn = (point + pose.translation, np.zeros(3)) if seen else (None, None)
+        about = {"what": "std_angle", "body": k, "reference": pose.matrix}
+        return (
+            effector_row(self.name, "point", "m", value, self.std, **carriers),
+            effector_row(self.name, "turn", "rad", turn, self.std_angle, **about),
         )
-        return (*row.with_value(point + self.measured.translation, self.std), turn)
 
     def _place(self, bodies: BodyArrays) -> tuple[int, Float[HostArray, "3"]]:
         """Return the index of its body, and its point at rest [m]."""

@@ -74,12 +74,12 @@ class Markers(Module):
                 "without precision is left out with `axes`."
             )
 
-    def inverse_std(self) -> Float[HostArray, "n_markers 3"]:
-        """Return 1 / std on the measured axes, 0 on the others [1/m]."""
+    def stds(self) -> Float[HostArray, "n_markers 3"]:
+        """Return standard deviations, infinite on axes that are not measured [m]."""
         std = np.asarray(self.std, float)
         std = std[:, None] if std.ndim == 1 else std
         counts = np.isin(range(3), parse_axes(self.axes))
-        return np.where(counts, 1.0 / std, np.zeros((len(self.names), 3)))
+        return np.where(counts, std, np.full((len(self.names), 3), np.inf))
 
     def check_measured(self, measured: Float[HostArray, "n 3"], owner: str) -> None:
         """Raise ValueError unless each marker has a finite position on its axes."""
@@ -103,12 +103,13 @@ def marker_rows(
     mesh: TetMesh, markers: Markers, measured: Float[HostArray, "n_markers 3"] | None
 ) -> list[EffectorRow]:
     """Return markers as rows of effectors, with their measured values if given."""
-    inverse_std = markers.inverse_std() * (measured is not None)
-    values = np.full_like(inverse_std, np.nan) if measured is None else measured
-    of_each = markers.names, values, inverse_std, _carriers(mesh, markers)
+    values, stds = measured, markers.stds()
+    if values is None:
+        values, stds = np.full_like(stds, np.nan), np.full_like(stds, np.inf)
+    of_each = markers.names, values, stds, _carriers(mesh, markers)
     return [
-        EffectorRow(name, "point", "m", value, precision, *carriers)
-        for name, value, precision, carriers in zip(*of_each, strict=True)
+        EffectorRow(name, "point", "m", value, std, *carriers)
+        for name, value, std, carriers in zip(*of_each, strict=True)
     ]
 
 

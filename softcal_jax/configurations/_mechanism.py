@@ -108,9 +108,7 @@ def build_mechanism(
     arrays = actuator_arrays(mesh, points, actuators, index_of, at_rest=at_rest)
     # Each motor turns a free body of its own, mounted without a turn.
     turned: dict[int, str] = {}
-    for name, body in zip(arrays.names, arrays.motor_body, strict=True):
-        if body < 0:
-            continue
+    for name, body in arrays.motors.items():
         driven, root = stacked.names[body], stacked.names[stacked.owner[body]]
         what = f"motor {name!r} turns {driven!r}"
         if driven != root:
@@ -179,8 +177,8 @@ def actuation_arrays(
     """
     actuators = mechanism.actuators
     what = f"configuration {configuration!r}"
-    motor = np.array([body >= 0 for body in actuators.motor_body], bool)
-    by_displacement = motor.copy()
+    motors = actuators.motors
+    by_displacement = np.array([name in motors for name in actuators.names], bool)
     value = np.zeros(len(actuators.names))
     releasing = np.zeros(len(actuators.names), bool)
     for name, asked in actuation.items():
@@ -195,7 +193,7 @@ def actuation_arrays(
                 f"{label} has no displacement that could be imposed; give "
                 f"ImposedForce(...) [{kind.force_unit}]."
             )
-        turns, pulls = motor[a] and imposed, kind.unilateral and not imposed
+        turns, pulls = name in motors and imposed, kind.unilateral and not imposed
         low = -np.pi if turns else 0.0 if pulls else -np.inf
         high = np.pi if turns else np.inf
         if not (np.isfinite(asked.value) and low <= asked.value <= high):
@@ -233,6 +231,7 @@ def body_state_arrays(
         ValueError: If a name is unknown, or a body cannot have such a state.
     """
     bodies = mechanism.bodies
+    turned_by = {body: motor for motor, body in mechanism.actuators.motors.items()}
     what = f"configuration {configuration!r}"
     free, held = map(rigid.KINDS.index, ("free", "held"))
     kind = np.where(bodies.has_nodes, free, held).astype(np.int32)
@@ -245,11 +244,10 @@ def body_state_arrays(
                 f"{what}: rigid body {name!r} is tied to "
                 f"{bodies.names[bodies.owner[k]]!r}, and moves with it; pose that one."
             )
-        if k in mechanism.actuators.motor_body:
-            motor = mechanism.actuators.names[mechanism.actuators.motor_body.index(k)]
+        if k in turned_by:
             raise ValueError(
-                f"{what}: rigid body {name!r} is turned by motor {motor!r}; impose the "
-                "motor's angle or torque in `actuation` instead."
+                f"{what}: rigid body {name!r} is turned by motor {turned_by[k]!r}; "
+                "impose the motor's angle or torque in `actuation` instead."
             )
         if isinstance(given, rigid.Pose):
             state = rigid.BodyState("held", given)

@@ -437,8 +437,7 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
             f"configuration {configuration.name!r} measures more than markers, and the "
             "axis noise knows what to add to markers alone: leave the axis out."
         )
-    weight = markers.inverse_std()
-    std = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
+    std = np.nan_to_num(markers.stds(), posinf=0.0)  # none where nothing is measured
     noisy = measured + std * random.standard_normal(measured.shape)
     return replace(configuration, measured=noisy)
 

@@ -17,7 +17,7 @@ from softcal_jax.configurations import (
     build_mechanism,
     configuration_lanes,
 )
-from softcal_jax.configurations._effector import EffectorRow
+from softcal_jax.configurations._effector import effector_row
 from softcal_jax.mesh import beam
 
 MESH = beam(0.1, 0.02, 0.02, (5, 1, 1))
@@ -112,7 +112,9 @@ def test_points_at_rest(lanes):
 
 
 def test_defaults_of_a_row_are_not_written_into_all_rows():
-    row = EffectorRow("one", "scalar", "N")
-    for default in (row.measured, row.inverse_std, row.reference):
-        with pytest.raises(ValueError, match="read-only"):
-            default[...] = 1.0
+    row, other = (effector_row("one", "scalar", "N", None, 1.0) for _ in range(2))
+    with pytest.raises(ValueError, match="read-only"):
+        row.reference[...] = 1.0
+    row.measured[...] = row.std[...] = 1.0
+    assert np.isnan(other.measured).all()
+    assert np.isinf(other.std).all()

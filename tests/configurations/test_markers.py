@@ -36,11 +36,11 @@ def test_a_post_outside_the_mesh_follows_a_rigid_motion(order):
 
 
 def test_precision_per_marker_and_axis():
-    both = markers(std=np.array([1e-3, 2e-3]), axes="xz").inverse_std()
-    np.testing.assert_array_equal(both, [[1000.0, 0, 1000.0], [500.0, 0, 500.0]])
+    both = markers(std=np.array([1e-3, 2e-3]), axes="xz").stds()
+    np.testing.assert_array_equal(both, [[1e-3, np.inf, 1e-3], [2e-3, np.inf, 2e-3]])
     std = np.array([[1.0, 2.0, 4.0], [0.5, 0.25, 0.125]])
-    np.testing.assert_array_equal(markers(std=std).inverse_std(), 1.0 / std)
-    np.testing.assert_array_equal(markers(std=0.5).inverse_std(), np.full((2, 3), 2.0))
+    np.testing.assert_array_equal(markers(std=std).stds(), std)
+    np.testing.assert_array_equal(markers(std=0.5).stds(), np.full((2, 3), 0.5))
 
 
 def test_lanes_with_fewer_markers_are_padded_with_no_weight():
