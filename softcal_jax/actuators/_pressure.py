@@ -28,7 +28,7 @@ from softcal_jax.actuators._actuator import (
     owned,
 )
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
-from softcal_jax.mesh import TetMesh, boundary_faces, face_indices
+from softcal_jax.mesh import TetMesh, boundary_faces, face_indices, sides_of
 
 AnyArray = Array | HostArray
 
@@ -219,17 +219,15 @@ def open_edges(faces: Int[HostArray, "n _"]) -> Int[HostArray, "n_edges _"]:
     in the direction that prevails; one that prevails twice is listed twice.
     """
     corners = faces[:, :3]
-    ways = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
-    mids = faces[:, 3:].reshape(len(ways), -1)
-    _, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
-    sense = np.where(ways[:, 0] < ways[:, 1], 1, -1)
-    edge = inverse.ravel()
-    total = np.zeros(edge.max() + 1, int)
-    np.add.at(total, edge, sense)
-    excess = total[edge] * sense
-    open_ways = np.flatnonzero(excess > 0)
-    chosen = open_ways[np.unique(edge[open_ways], return_index=True)[1]]
-    nodes = np.column_stack([ways[:, 0], mids, ways[:, 1]])
+    sides = sides_of(corners)
+    sense = np.where(sides.forwards, 1, -1)
+    total = np.zeros(len(sides.counts), int)
+    np.add.at(total, sides.edge, sense)
+    excess = total[sides.edge] * sense
+    open_sides = np.flatnonzero(excess > 0)
+    chosen = open_sides[np.unique(sides.edge[open_sides], return_index=True)[1]]
+    mids, ends = faces[:, 3:].reshape(corners.size, -1), np.roll(corners, -1, axis=1)
+    nodes = np.column_stack([corners.ravel(), mids, ends.ravel()])
     return np.repeat(nodes[chosen], excess[chosen], axis=0)
 
 

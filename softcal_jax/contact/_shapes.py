@@ -4,6 +4,7 @@ The distance is negative inside. Edges are rounded, so that its gradient is cont
 up to a depth of the rounding.
 """
 
+import dataclasses
 import math
 from abc import abstractmethod
 from pathlib import Path
@@ -27,8 +28,25 @@ class AbstractShape(Module):
     """The shape of an obstacle, fixed to the frame of its rigid body.
 
     A shape of one's own defines `distance`, which JAX must be able to differentiate
-    twice, `depth` and `drawn`.
+    twice, `depth` and `drawn`. Lengths that project files call positive are checked.
     """
+
+    def __check_init__(self):
+        what = {kind: name for name, kind in SHAPES.items()}.get(type(self), "shape")
+        for field in dataclasses.fields(self):
+            if field.metadata.get("size") == "positive":
+                value = np.min(getattr(self, field.name))
+                if not 0.0 < value < np.inf:
+                    raise ValueError(
+                        f"{field.name} of a {what} must be positive and finite [m], "
+                        f"got {value}."
+                    )
+        rounding, most = getattr(self, "rounding", 0.0), 2.0 * self.depth
+        if rounding > most:
+            raise ValueError(
+                f"rounding of a {what} must be at most half of its smallest side "
+                f"({most:g} m), got {rounding:g} m."
+            )
 
     @abstractmethod
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
@@ -46,14 +64,6 @@ class AbstractShape(Module):
 
 RADIUS = key("m", 'its radius: "5 mm"', "positive")
 ROUNDING = key("m", 'radius of its edges: "0.5 mm"', "positive")
-
-
-def _positive(what: str, **lengths: float) -> None:
-    for name, value in lengths.items():
-        if not 0.0 < value < np.inf:
-            raise ValueError(
-                f"{name} of a {what} must be positive and finite [m], got {value}."
-            )
 
 
 def _rounded(
@@ -84,9 +94,6 @@ class Ball(AbstractShape):
 
     radius: float = eqx.field(metadata=RADIUS)
 
-    def __check_init__(self):
-        _positive("sphere", radius=self.radius)
-
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         return vector_length(y) - self.radius
 
@@ -114,9 +121,6 @@ class Capsule(AbstractShape):
         metadata=key("m", 'distance of the centres of its ends: "20 mm"', "positive")
     )
 
-    def __check_init__(self):
-        _positive("capsule", radius=self.radius, length=self.length)
-
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         half = 0.5 * self.length
         nearest = jnp.clip(y[2], -half, half)
@@ -142,11 +146,6 @@ class RoundedCylinder(AbstractShape):
     radius: float = eqx.field(metadata=RADIUS)
     length: float = eqx.field(metadata=key("m", 'its length: "20 mm"', "positive"))
     rounding: float = eqx.field(metadata=ROUNDING)
-
-    def __check_init__(self):
-        sizes = {"radius": self.radius, "length": self.length}
-        _positive("cylinder", **sizes, rounding=self.rounding)
-        _fits("cylinder", self.rounding, self.radius, 0.5 * self.length)
 
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         out = jnp.stack([vector_length(y[:2]), jnp.abs(y[2])])
@@ -188,10 +187,6 @@ class RoundedBox(AbstractShape):
     )
     rounding: float = eqx.field(metadata=ROUNDING)
 
-    def __check_init__(self):
-        _positive("box", size=min(self.size), rounding=self.rounding)
-        _fits("box", self.rounding, 0.5 * min(self.size))
-
     def distance(self, y: Float[Array, "3"]) -> Float[Array, ""]:
         core = 0.5 * jnp.stack([jnp.asarray(s, float) for s in self.size])
         return _rounded(jnp.abs(y) - core + self.rounding, self.rounding)
@@ -205,14 +200,6 @@ class RoundedBox(AbstractShape):
 
         a, b, c = (0.5 * side for side in self.size)
         return pv.Box(bounds=(-a, a, -b, b, -c, c))
-
-
-def _fits(what: str, rounding: float, *largest: float) -> None:
-    if rounding > min(largest):
-        raise ValueError(
-            f"rounding of a {what} must be at most half of its smallest side "
-            f"({min(largest):g} m), got {rounding:g} m."
-        )
 
 
 SHAPES: dict[str, type[AbstractShape]] = {
