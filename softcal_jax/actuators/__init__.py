@@ -12,14 +12,7 @@ from softcal_jax.actuators._actuator import (
 from softcal_jax.actuators._arrays import (
     ActuatorArrays as ActuatorArrays,
     actuator_arrays as actuator_arrays,
-    actuator_displacements as actuator_displacements,
     actuator_geometry as actuator_geometry,
-    actuator_rows as actuator_rows,
-    actuators_following as actuators_following,
-    actuators_moving as actuators_moving,
-    clique_nodes as clique_nodes,
-    curvature_entries as curvature_entries,
-    displacement_rows as displacement_rows,
 )
 from softcal_jax.actuators._cable import (
     AbstractGuided as AbstractGuided,

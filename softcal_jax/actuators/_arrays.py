@@ -82,20 +82,78 @@ class ActuatorArrays(Module):
         changed = [jnp.where(g.owner == index, mu, g.friction) for g in _rough(self)]
         return eqx.tree_at(values, self, changed)
 
+    def moving(self, releasing: Bool[Array | HostArray, " n_a"]) -> "ActuatorArrays":
+        """Return them with friction opposing their motion, released or pulled."""
+        if not any(self.has_friction):
+            return self
+        senses = lambda arrays: [group.sense for group in _rough(arrays)]
+        released = [jnp.asarray(releasing)[group.owner] for group in _rough(self)]
+        return eqx.tree_at(senses, self, [jnp.where(r, -1.0, 1.0) for r in released])
+
+    def following(
+        self, mesh: TetMesh, points: Float[Array, "n_all 3"]
+    ) -> "ActuatorArrays":
+        """Return them on other points at rest, differentiably [m]."""
+        n_actuators = len(self.names)
+        groups = tuple(group.following(mesh, n_actuators) for group in self.groups)
+        rest = _contributions(groups, points, n_actuators)
+        return eqx.tree_at(lambda a: (a.groups, a.rest), self, (groups, rest))
+
+    def displacements(self, x: Float[Array, "n_all 3"]) -> Float[Array, " n_a"]:
+        """Compute the displacements delta_a(x) at positions of all nodes [m].
+
+        They are 0 at rest, and for an actuator without a displacement.
+        """
+        return _contributions(self.groups, x, len(self.names)) - self.rest
+
+    def rows(self, x: Float[Array, "n_all 3"]) -> Float[Array, "n_a n_all 3"]:
+        """Compute F_a by rows: forces on the nodes for lambda_a = 1 [N per unit].
+
+        They equal H_a = d delta_a / dx where an actuator has a potential.
+        """
+        forces = [each_clique(type(g).row, g, x) for g in self.groups]
+        return self._rows(self.groups, forces, x)
+
+    def displacement_rows(
+        self, x: Float[Array, "n_all 3"]
+    ) -> Float[Array, "n_a n_all 3"]:
+        """Compute H_a = d delta_a / dx by rows, in the unit of delta_a per metre.
+
+        They are 0 for an actuator without displacement.
+        """
+        groups = [g for g in self.groups if isinstance(g, AbstractDisplacedCliques)]
+        changes = [each_clique(type(g).displacement_row, g, x) for g in groups]
+        return self._rows(groups, changes, x)
+
+    def _rows(self, groups, parts, x):
+        rows = jnp.zeros((len(self.names), *x.shape), x.dtype)
+        for group, part in zip(groups, parts, strict=True):
+            rows = rows.at[group.owner[:, None], group.nodes].add(part)
+        return rows
+
+    def curvature(
+        self, x: Float[Array, "n_all 3"], lambda_a: Float[Array, " n_a"]
+    ) -> tuple[Float[Array, "_ _ _"], ...]:
+        """Differentiate the forces by the positions, clique by clique [N/m].
+
+        Their sum is d(F_a^T lambda_a)/dx, by rows of forces and columns of positions:
+        for each group of `clique_nodes`, square matrices over the coordinates, node by
+        node.
+        """
+        return tuple(
+            lambda_a[group.owner][:, None, None]
+            * each_clique(type(group).curvature, group, x)
+            for group in self.groups
+            if group.curved
+        )
+
+    def clique_nodes(self) -> tuple[Int[HostArray, "_ _"], ...]:
+        """List the nodes of the cliques with entries in the tangent, by group."""
+        return tuple(np.asarray(group.nodes) for group in self.groups if group.curved)
+
 
 def _rough(arrays: ActuatorArrays) -> list[FrictionalCables]:
     return [g for g in arrays.groups if isinstance(g, FrictionalCables)]
-
-
-def actuators_moving(
-    arrays: ActuatorArrays, releasing: Bool[Array | HostArray, " n_a"]
-) -> ActuatorArrays:
-    """Return the actuators with friction opposing their motion, released or pulled."""
-    if not any(arrays.has_friction):
-        return arrays
-    senses = lambda arrays: [group.sense for group in _rough(arrays)]
-    released = [jnp.asarray(releasing)[group.owner] for group in _rough(arrays)]
-    return eqx.tree_at(senses, arrays, [jnp.where(r, -1.0, 1.0) for r in released])
 
 
 def actuator_arrays(
@@ -142,16 +200,6 @@ def actuator_arrays(
     )
 
 
-def actuators_following(
-    arrays: ActuatorArrays, mesh: TetMesh, points: Float[Array, "n_all 3"]
-) -> ActuatorArrays:
-    """Return the actuators of a robot on other points at rest, differentiably [m]."""
-    n_actuators = len(arrays.names)
-    groups = tuple(group.following(mesh, n_actuators) for group in arrays.groups)
-    rest = _contributions(groups, points, n_actuators)
-    return eqx.tree_at(lambda a: (a.groups, a.rest), arrays, (groups, rest))
-
-
 def _contributions(
     groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
 ) -> Float[Array, " n_a"]:
@@ -164,67 +212,6 @@ def _contributions(
 
 
 _at_rest = eqx.filter_jit(_contributions)
-
-
-def actuator_displacements(
-    arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
-) -> Float[Array, " n_a"]:
-    """Compute the displacements delta_a(x) at positions of all nodes [m].
-
-    They are 0 at rest, and for an actuator without a displacement.
-    """
-    return _contributions(arrays.groups, x, len(arrays.names)) - arrays.rest
-
-
-def actuator_rows(
-    arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
-) -> Float[Array, "n_a n_all 3"]:
-    """Compute F_a by rows: forces on the nodes at `x` for lambda_a = 1 [N per unit].
-
-    They equal H_a = d delta_a / dx where an actuator has a potential.
-    """
-    forces = [each_clique(type(g).row, g, x) for g in arrays.groups]
-    return _rows(arrays, arrays.groups, forces, x)
-
-
-def displacement_rows(
-    arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
-) -> Float[Array, "n_a n_all 3"]:
-    """Compute H_a = d delta_a / dx by rows, in the unit of delta_a per metre.
-
-    They are 0 for an actuator without displacement.
-    """
-    groups = [g for g in arrays.groups if isinstance(g, AbstractDisplacedCliques)]
-    changes = [each_clique(type(g).displacement_row, g, x) for g in groups]
-    return _rows(arrays, groups, changes, x)
-
-
-def _rows(arrays: ActuatorArrays, groups, parts, x):
-    rows = jnp.zeros((len(arrays.names), *x.shape), x.dtype)
-    for group, part in zip(groups, parts, strict=True):
-        rows = rows.at[group.owner[:, None], group.nodes].add(part)
-    return rows
-
-
-def curvature_entries(
-    arrays: ActuatorArrays, x: Float[Array, "n_all 3"], lambda_a: Float[Array, " n_a"]
-) -> tuple[Float[Array, "_ _ _"], ...]:
-    """Differentiate the actuators' forces by the positions, clique by clique [N/m].
-
-    Their sum is d(F_a^T lambda_a)/dx, by rows of forces and columns of positions: for
-    each group of `clique_nodes`, square matrices over the coordinates, node by node.
-    """
-    return tuple(
-        lambda_a[group.owner][:, None, None]
-        * each_clique(type(group).curvature, group, x)
-        for group in arrays.groups
-        if group.curved
-    )
-
-
-def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
-    """List the nodes of the cliques with entries in the tangent, group by group."""
-    return tuple(np.asarray(group.nodes) for group in arrays.groups if group.curved)
 
 
 def actuator_geometry(

@@ -62,7 +62,6 @@ from softcal_jax.configurations._mechanism import (
     Mechanism as Mechanism,
     actuation_arrays as actuation_arrays,
     build_mechanism as build_mechanism,
-    standing as standing,
 )
 from softcal_jax.configurations._recording import (
     Recording as Recording,
@@ -76,9 +75,7 @@ from softcal_jax.configurations._recording_file import (
 from softcal_jax.configurations._tracker import (
     PoseTable as PoseTable,
     TrackerWarning as TrackerWarning,
-    average_poses as average_poses,
     from_quaternion as from_quaternion,
-    in_frame as in_frame,
     read_polhemus as read_polhemus,
     read_poses as read_poses,
 )

@@ -39,7 +39,7 @@ from softcal_jax.configurations._effector import (
     stack_effectors,
 )
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import Mechanism, standing
+from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.contact import depths_at_start
 from softcal_jax.mesh import TetMesh
 
@@ -249,7 +249,7 @@ def _check_outside(
     contacts = mechanism.contacts
     if contacts.n_obstacles == 0:
         return
-    depths = depths_at_start(contacts, standing(mechanism, bodies))
+    depths = depths_at_start(contacts, mechanism.standing(bodies))
     for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
         if depth > contacts.scale:
             deep = readable_values([float(depth)], "m", digits=3)

@@ -15,8 +15,6 @@ from softcal_jax.actuators import (
     AbstractActuator,
     ActuatorArrays,
     actuator_arrays,
-    actuator_displacements,
-    actuators_following,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
 from softcal_jax.contact import Contacts, Obstacle, Standing, build_contacts
@@ -60,7 +58,7 @@ class Mechanism(Module):
         shifts = jnp.repeat(bodies.origin - self.bodies.origin, 4, axis=0)
         points = jnp.concatenate([points, self.points[n:] + shifts])
         contacts = self.contacts.following(mesh, points)
-        actuators = actuators_following(self.actuators, mesh, points)
+        actuators = self.actuators.following(mesh, points)
         where = lambda m: (m.points, m.bodies, m.contacts, m.actuators)
         return eqx.tree_at(where, self, (points, bodies, contacts, actuators))
 
@@ -82,7 +80,18 @@ class Mechanism(Module):
 
         For a motor it is the reading of its encoder: the angle minus the zero error.
         """
-        return actuator_displacements(self.actuators, x) - self.motor_zero
+        return self.actuators.displacements(x) - self.motor_zero
+
+    def standing(self, states: rigid.BodyStateArrays) -> Standing:
+        """Return how the obstacles stand in a configuration."""
+        bodies, which = self.bodies, np.array(self.contacts.body, int)
+        present = jnp.asarray(states.is_present)[bodies.owner[which]]
+        frames = rigid.Frames(
+            jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
+            jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
+        )
+        ends = rigid.frame_nodes(bodies, frames)
+        return Standing(present, ends[which])
 
 
 def build_mechanism(
@@ -265,15 +274,3 @@ def body_state_arrays(
                 pose.rotation_vector,
             )
     return rigid.BodyStateArrays(kind, *places)
-
-
-def standing(mechanism: Mechanism, states: rigid.BodyStateArrays) -> Standing:
-    """Return how the obstacles stand in a configuration."""
-    bodies, which = mechanism.bodies, np.array(mechanism.contacts.body, int)
-    present = jnp.asarray(states.is_present)[bodies.owner[which]]
-    frames = rigid.Frames(
-        jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
-        jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
-    )
-    ends = rigid.frame_nodes(bodies, frames)
-    return Standing(present, ends[which])

@@ -56,47 +56,44 @@ class PoseTable(Module):
         positions, rotations = self.positions[rows], self.rotations[rows]
         return PoseTable(names, positions, rotations, lines, self.source)
 
+    def in_frame(self, base: Pose) -> "PoseTable":
+        """Convert readings from the frame of the tracker's base to that of the robot.
 
-def in_frame(table: PoseTable, base: Pose) -> PoseTable:
-    """Convert readings from the frame of the tracker's base to that of the robot.
+        T = T_base T_reading, where the pose of the base in the robot's frame stands for
+        x -> R x + translation.
+        """
+        positions = self.positions @ base.matrix.T + base.translation
+        return replace(
+            self, positions=positions, rotations=base.matrix @ self.rotations
+        )
 
-    T = T_base T_reading, where the pose of the base in the robot's frame stands for
-    x -> R x + translation.
-    """
-    return replace(
-        table,
-        positions=table.positions @ base.matrix.T + base.translation,
-        rotations=base.matrix @ table.rotations,
-    )
+    def means(self) -> dict[str, Pose]:
+        """Average the readings of each sensor, by name, while it stood still.
 
+        A pose stands for x = R x_sensor + translation. The mean rotation has the least
+        sum of squared matrix distances, by `scipy.spatial.transform.Rotation.mean`
+        (Markley et al., J. Guid. Control Dyn. 30, 2007).
 
-def average_poses(table: PoseTable) -> dict[str, Pose]:
-    """Average the readings of each sensor, by name, while it stood still.
-
-    A pose stands for x = R x_sensor + translation. The mean rotation has the least sum
-    of squared matrix distances, by
-    `scipy.spatial.transform.Rotation.mean` (Markley et al., J. Guid. Control Dyn. 30,
-    2007).
-
-    Raises:
-        ValueError: If a reading turns by more than 30 degrees from the mean of its
-            sensor, so that they are not all of one pose.
-    """
-    poses = {}
-    for name in dict.fromkeys(table.names):
-        readings = table.readings_of(name)
-        rotations = Rotation.from_matrix(readings.rotations)
-        mean = rotations.mean()
-        angles = (rotations * mean.inv()).magnitude()
-        worst = int(np.argmax(angles))
-        if angles[worst] > _ONE_POSE:
-            raise ValueError(
-                f"{table.source}, line {readings.lines[worst]}: this reading of sensor "
-                f"{name!r} turns by {np.rad2deg(angles[worst]):.3g} deg from the mean "
-                f"of {len(angles)}, more than 30 deg: select the readings of one pose."
-            )
-        poses[name] = Pose(readings.positions.mean(axis=0), mean.as_rotvec())
-    return poses
+        Raises:
+            ValueError: If a reading turns by more than 30 degrees from the mean of its
+                sensor, so that they are not all of one pose.
+        """
+        poses = {}
+        for name in dict.fromkeys(self.names):
+            readings = self.readings_of(name)
+            rotations = Rotation.from_matrix(readings.rotations)
+            mean = rotations.mean()
+            angles = (rotations * mean.inv()).magnitude()
+            worst = int(np.argmax(angles))
+            if angles[worst] > _ONE_POSE:
+                raise ValueError(
+                    f"{self.source}, line {readings.lines[worst]}: this reading of "
+                    f"sensor {name!r} turns by {np.rad2deg(angles[worst]):.3g} deg "
+                    f"from the mean of {len(angles)}, more than 30 deg: select the "
+                    "readings of one pose."
+                )
+            poses[name] = Pose(readings.positions.mean(axis=0), mean.as_rotvec())
+        return poses
 
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]

@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.actuators import actuator_rows, curvature_entries, displacement_rows
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Nodal
@@ -215,7 +214,7 @@ def actuator_loads(
 def unbalanced(posed: Posed, point: Point, lambda_a: Float[Array, " n_a"]):
     """Compute the out-of-balance forces g on all nodes [N], and the rows F_a."""
     x = posed.model.positions(point.u)
-    rows = actuator_rows(posed.model.mechanism.actuators, x)
+    rows = posed.model.mechanism.actuators.rows(x)
     forces = actuator_loads(posed, lambda_a)
     g = point.force - posed.load * posed.f_ext + posed.spring_force(point.u)
     g = g + point.contact
@@ -246,7 +245,7 @@ def nodal_tangent(
     actuators = model.mechanism.actuators
     loads = actuator_loads(posed, lambda_a)
     # d(F_a^T lambda_a)/dx
-    curvature = curvature_entries(actuators, model.positions(u), loads)
+    curvature = actuators.curvature(model.positions(u), loads)
     for matrices, places in zip(curvature, model.curvature_at, strict=True):
         p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
         nodal = nodal.at[places].add(-matrices[:, p, q].T)
@@ -293,7 +292,7 @@ def assemble(
     values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed)
     H_a, H_other = rows[which], None
     if any(actuators.has_friction):
-        H_a = displacement_rows(actuators, model.positions(u))[which]
+        H_a = actuators.displacement_rows(model.positions(u))[which]
         H_other = rows_on_free(posed, u, H_a)
     F_a = rows_on_free(posed, u, rows[which])
     system = System(values, F_a, active[which], H_other)

@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, is_traced
-from softcal_jax.actuators import AbstractActuator, clique_nodes
+from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import Mechanism, build_mechanism
 from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
@@ -218,7 +218,7 @@ def _prepared(
     rigid = _within_one_body(mesh, mechanism)
     active = np.arange(n_blocks * BLOCK) < n_tets
     active[:n_tets] &= ~rigid
-    curved, touching = clique_nodes(mechanism.actuators), mechanism.contacts.cliques()
+    curved, touching = mechanism.actuators.clique_nodes(), mechanism.contacts.cliques()
     cliques = (mesh.tets, *curved, *touching)
     pattern = build_sparsity(cliques, len(mechanism.points), symmetric=conservative)
     reduction, unknowns = None, pattern

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.actuators import actuators_moving
 from softcal_jax.bodies import (
     KINDS,
     BodyStateArrays,
@@ -31,7 +30,6 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
     configuration_arrays,
-    standing,
 )
 from softcal_jax.contact import (
     Contacts,
@@ -136,9 +134,8 @@ class Posed(NamedTuple):
         weight = gravity_load(model, configuration.acceleration)
         f_ext = configuration.dead_loads + weight
         if any(model.mechanism.actuators.has_friction):
-            actuators = actuators_moving(
-                model.mechanism.actuators, configuration.actuation.releasing
-            )
+            actuators = model.mechanism.actuators
+            actuators = actuators.moving(configuration.actuation.releasing)
             model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
         held = jnp.asarray(configuration.fixed)
         load, plan = jnp.ones((), f_ext.dtype), model.reduction
@@ -216,7 +213,7 @@ class Posed(NamedTuple):
     def standing(self) -> Standing:
         """How the obstacles stand; only if there are any."""
         assert self.states is not None
-        return standing(self.model.mechanism, self.states)
+        return self.model.mechanism.standing(self.states)
 
     def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal]:
         """Compute energy and forces of the nodes on the cushion of obstacles [J, N]."""

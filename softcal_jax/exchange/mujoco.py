@@ -14,12 +14,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.actuators import (
-    Cable,
-    ForceActuator,
-    SurfaceForceActuator,
-    actuator_rows,
-)
+from softcal_jax.actuators import Cable, ForceActuator, SurfaceForceActuator
 from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.configurations import (
     Configuration,
@@ -213,7 +208,7 @@ def mjcf(name: str, model: Model, poses: Sequence[Key], remarks: Sequence[str]) 
     _add_body(root, model, fixed, np.asarray(lane.springs.coefficients()))
     guides: list[Float[HostArray, "n_nodes 3"]] = []
     actuators = model.mechanism.actuators
-    rows = np.asarray(actuator_rows(actuators, jnp.asarray(model.mechanism.points)))
+    rows = np.asarray(actuators.rows(jnp.asarray(model.mechanism.points)))
     motors = [owner for owner, row in enumerate(rows) if np.any(row[~fixed])]
     for owner in motors:
         if actuators.kinds[owner] == Cable.kind:

@@ -20,7 +20,6 @@ from softcal_jax.configurations import (
     configuration_lanes,
     farthest,
     motions,
-    standing,
 )
 from softcal_jax.contact import ContactState, HalfSpace
 from softcal_jax.equilibrium import Model, RobotState, actuator_states
@@ -93,7 +92,7 @@ def obstacles_at_start(model: Model, states: BodyStateArrays) -> list[PlacedObst
     """List the obstacles that are there before the load, in states of the bodies."""
     if model.mechanism.contacts.n_obstacles == 0:
         return []  # without compiling for it
-    present, frames = jax.device_get(standing(model.mechanism, states))
+    present, frames = jax.device_get(model.mechanism.standing(states))
     return list(_placed(model, present, frames, model.mechanism.contacts.names))
 
 

@@ -150,7 +150,7 @@ class MotionSource(Table):
 
 def _mean(readings: PoseTable, base: Pose) -> Seen:
     """Average the pose of one sensor in the mesh's frame."""
-    means = configurations.average_poses(configurations.in_frame(readings, base))
+    means = readings.in_frame(base).means()
     if len(means) > 1:
         raise ValueError(
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "

@@ -5,23 +5,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax import actuators
-from softcal_jax.actuators import actuator_arrays
+from softcal_jax.actuators import ActuatorArrays, actuator_arrays
 
 TURN = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
 AXIS_LENGTH = 0.3
 
 # One program each, in place of one for each operation in them.
-actuator_displacements = eqx.filter_jit(actuators.actuator_displacements)
-actuator_rows = eqx.filter_jit(actuators.actuator_rows)
-curvature_entries = eqx.filter_jit(actuators.curvature_entries)
+actuator_displacements = eqx.filter_jit(ActuatorArrays.displacements)
+actuator_rows = eqx.filter_jit(ActuatorArrays.rows)
+curvature_entries = eqx.filter_jit(ActuatorArrays.curvature)
 
 
 def curvature_times(arrays, x, lambda_a, tangent):
     """The assembled d(H_a^T lambda_a)/dx times a direction, summed by NumPy."""
     out = np.zeros(x.shape)
     entries = curvature_entries(arrays, jnp.asarray(x), jnp.asarray(lambda_a))
-    for nodes, K in zip(actuators.clique_nodes(arrays), entries, strict=True):
+    for nodes, K in zip(arrays.clique_nodes(), entries, strict=True):
         along = tangent[np.asarray(nodes)].reshape(len(nodes), -1)
         local = np.einsum("cpq,cq->cp", np.asarray(K), along)
         np.add.at(out, np.asarray(nodes), local.reshape(*nodes.shape, 3))

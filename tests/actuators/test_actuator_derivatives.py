@@ -17,7 +17,6 @@ from actuator_programs import (
 from problems import central_difference
 
 from benchmarks._hollow import hollow_cube
-from softcal_jax import actuators
 from softcal_jax.actuators import (
     Cable,
     Chamber,
@@ -27,7 +26,6 @@ from softcal_jax.actuators import (
     SurfaceForceActuator,
     SurfacePressure,
     actuator_arrays,
-    clique_nodes,
 )
 
 CABLE = Cable(
@@ -165,7 +163,7 @@ def test_flags_stay_on_the_host():
     @eqx.filter_jit
     def both(arrays, lanes):
         assert arrays.unilateral.tolist() == [True, False]
-        return jax.vmap(lambda x: actuators.actuator_displacements(arrays, x))(lanes)
+        return jax.vmap(lambda x: arrays.displacements(x))(lanes)
 
     delta = np.asarray(both(arrays, jnp.asarray(np.stack([x, 2.0 * x]))))
     alone = displacements(arrays, 2.0 * x)
@@ -180,7 +178,7 @@ def test_no_actuators():
     assert actuator_displacements(arrays, x).shape == (0,)
     assert actuator_rows(arrays, x).shape == (0, *x.shape)
     assert curvature_entries(arrays, x, jnp.zeros(0)) == ()
-    assert clique_nodes(arrays) == ()
+    assert arrays.clique_nodes() == ()
 
 
 def test_bad_arrays(unchecked):

@@ -14,7 +14,7 @@ from actuator_programs import (
 )
 from wording import says
 
-from softcal_jax.actuators import Cable, Guide, actuator_arrays, clique_nodes
+from softcal_jax.actuators import Cable, Guide, actuator_arrays
 from softcal_jax.mesh import TetMesh, beam, locate, ring_around
 
 PATH = ((0.0, 0.01, 0.02), (0.03, 0.03, 0.02), (0.1, 0.01, 0.0))
@@ -85,7 +85,7 @@ def test_guides_on_ground_and_on_a_rigid_body():
     delta = actuator_displacements(arrays, jnp.asarray(x))
     np.testing.assert_allclose(delta, [length(*rest) - length(*now)], rtol=1e-12)
     # Parts of fixed length bring no clique: mesh-body and body-ground remain.
-    assert len(clique_nodes(arrays)[0]) == 2
+    assert len(arrays.clique_nodes()[0]) == 2
 
 
 def test_cables_of_one_robot_are_told_apart():
@@ -108,7 +108,7 @@ def test_clique_nodes_are_unique_but_for_padding(order):
     mesh = body(order)
     ends = np.array([(0.051, 0.01, 0.011), (0.052, 0.01, 0.011)])
     arrays = arrays_of(mesh, Cable("c", tuple(ends)))
-    (nodes,) = clique_nodes(arrays)
+    (nodes,) = arrays.clique_nodes()
     x = jnp.asarray(bent(mesh.points))
     (entries,) = curvature_entries(arrays, x, jnp.ones(1))
     distinct, first = np.unique(nodes[0], return_index=True)

@@ -19,11 +19,10 @@ from actuator_programs import (
 from problems import central_difference
 
 from softcal_jax.actuators import (
+    ActuatorArrays,
     Cable,
     Guide,
     actuator_geometry,
-    actuators_moving,
-    displacement_rows,
 )
 from softcal_jax.mesh import beam
 
@@ -45,7 +44,7 @@ def geometric(arrays, x):
     return np.asarray(of_geometry(arrays, jnp.asarray(x)))
 
 
-of_geometry = eqx.filter_jit(displacement_rows)
+of_geometry = eqx.filter_jit(ActuatorArrays.displacement_rows)
 
 
 def over_pulley(on):
@@ -71,7 +70,7 @@ def test_pulley_meets_the_capstan_equation(pulled_from, releasing):
     """T_0 / T_1 = exp(-mu BEND), and the force and moment on the pulley with it."""
     guides, (first, last) = over_pulley(["mesh"] * N_GUIDES)
     cable = Cable("c", guides, friction=MU, pulled_from=pulled_from)
-    arrays = actuators_moving(arrays_of(MESH, cable), np.array([releasing]))
+    arrays = arrays_of(MESH, cable).moving(np.array([releasing]))
     force = forces(arrays, MESH.points)[0]
     far = np.exp((1.0 if releasing else -1.0) * MU * BEND)
     before, behind = (1.0, far) if pulled_from == "first" else (far, 1.0)
@@ -116,7 +115,7 @@ def test_without_friction_nothing_is_new(mu):
     other = arrays_of(MESH, Cable("c", PATH, friction=mu, pulled_from="last"))
     assert eqx.tree_equal(plain, other)
     assert plain.symmetric
-    assert actuators_moving(plain, np.array([True])) is plain
+    assert plain.moving(np.array([True])) is plain
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ def test_tangent_meets_differences_at_second_order_and_is_not_symmetric(
     robot, releasing
 ):
     arrays, x = robot
-    arrays = actuators_moving(arrays, np.array([False, releasing]))
+    arrays = arrays.moving(np.array([False, releasing]))
     tangent = np.random.default_rng(1).normal(size=x.shape)
     lambda_a = np.array([0.7, 2.5])
     exact = curvature_times(arrays, x, lambda_a, tangent)

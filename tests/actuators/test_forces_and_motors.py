@@ -16,7 +16,6 @@ from softcal_jax.actuators import (
     Motor,
     SurfaceForceActuator,
     actuator_arrays,
-    clique_nodes,
 )
 from softcal_jax.configurations import PointForce, SurfaceForce
 from softcal_jax.mesh import beam
@@ -47,7 +46,7 @@ def test_row_is_the_dead_load_of_unit_size(actuator, load, order):
     arrays = arrays_of(mesh, actuator)
     row = actuator_rows(arrays, jnp.asarray(bent(mesh.points)))[0]
     np.testing.assert_allclose(row, load.nodal_forces(mesh), rtol=0, atol=1e-15)
-    assert clique_nodes(arrays) == ()
+    assert arrays.clique_nodes() == ()
 
 
 @each_order

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 import softcal_jax as sc
 from benchmarks._hollow import hollow
-from softcal_jax.actuators import Chamber, actuators_following
+from softcal_jax.actuators import Chamber
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.mesh import TetMesh, beam
 
@@ -213,7 +213,7 @@ def test_a_lid_follows_the_points_of_the_mesh_at_rest(order):
         size=mesh.points.shape
     )
     other = TetMesh(points, mesh.tets, mesh.node_groups, mesh.surface_groups)
-    ours = actuators_following(arrays_of(mesh, SEALED), other, jnp.asarray(points))
+    ours = arrays_of(mesh, SEALED).following(other, jnp.asarray(points))
     built = arrays_of(other, SEALED)
     np.testing.assert_allclose(ours.rest, built.rest, rtol=1e-12)
     x = jnp.asarray(bent(points))

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations import PoseTable, average_poses, in_frame
+from softcal_jax.configurations import PoseTable
 
 
 def rows(positions, rotations, names=None):
@@ -31,7 +31,7 @@ def test_place_of_the_base_by_hand():
     """A base 1 m up, its x along the robot's y."""
     turn = Rotation.from_euler("z", 90.0, degrees=True)
     base = Pose(np.array([0.0, 0.0, 1.0]), turn.as_rotvec())
-    robot = in_frame(rows([[1.0, 0.0, 0.0]], [np.eye(3)]), base)
+    robot = rows([[1.0, 0.0, 0.0]], [np.eye(3)]).in_frame(base)
     np.testing.assert_allclose(robot.positions[0], [0.0, 1.0, 1.0], atol=1e-15)
     np.testing.assert_allclose(robot.rotations[0], turn.as_matrix(), atol=1e-15)
 
@@ -47,7 +47,7 @@ def test_body_comes_back_from_what_the_tracker_reads():
         for body in bodies
     ]
     table = rows([T[:3, 3] for T in readings], [T[:3, :3] for T in readings])
-    back = in_frame(table, base)
+    back = table.in_frame(base)
     for i, body in enumerate(bodies):
         np.testing.assert_allclose(back.positions[i], body.translation, atol=1e-14)
         np.testing.assert_allclose(back.rotations[i], body.matrix, atol=1e-14)
@@ -76,7 +76,7 @@ def scattered():
 
 
 def test_mean_of_known_deviations():
-    mean = average_poses(scattered())["s"]
+    mean = scattered().means()["s"]
     np.testing.assert_allclose(mean.translation, [1.0, 2.0, 3.0], rtol=1e-14)
     np.testing.assert_allclose(mean.matrix, MEAN.as_matrix(), atol=1e-14)
 
@@ -90,7 +90,7 @@ def test_each_sensor_for_itself():
         table.lines,
         "file",
     )
-    means = average_poses(both)
+    means = both.means()
     assert list(means) == ["a", "b"]
     np.testing.assert_allclose(
         means["b"].translation, table.positions[[1, 4]].mean(axis=0)
@@ -98,7 +98,7 @@ def test_each_sensor_for_itself():
 
 
 def test_one_reading_is_its_mean():
-    mean = average_poses(rows([[1.0, 2.0, 3.0]], [MEAN.as_matrix()]))["s"]
+    mean = rows([[1.0, 2.0, 3.0]], [MEAN.as_matrix()]).means()["s"]
     np.testing.assert_allclose(mean.matrix, MEAN.as_matrix(), atol=1e-15)
 
 
@@ -107,4 +107,4 @@ def test_readings_of_two_poses_are_refused():
     table = rows(np.zeros((3, 3)), turned.as_matrix())
     # The mean of 0, 0 and 90 degrees is atan2(1, 2) = 26.6 degrees.
     with pytest.raises(ValueError, match=r"line 4: .*'s' .* 63\.4 deg .*select"):
-        average_poses(table)
+        table.means()

@@ -6,7 +6,6 @@ import pytest
 from wording import says
 
 import softcal_jax as sc
-from softcal_jax.actuators import actuator_rows
 from softcal_jax.bodies import BodyState
 from softcal_jax.configurations import ContactForce, ContactMoment
 from softcal_jax.contact import (
@@ -316,9 +315,7 @@ def test_a_force_pushes_a_probe(tmp_path):
     project = load_project(write(tmp_path, push, loaded))
     mechanism = project.model.mechanism
     assert project.configurations[1].actuation["push"].value == 2.0
-    rows = np.asarray(
-        actuator_rows(mechanism.actuators, jnp.asarray(mechanism.points))
-    )[0]
+    rows = np.asarray(mechanism.actuators.rows(jnp.asarray(mechanism.points)))[0]
     np.testing.assert_allclose(rows.sum(axis=0), (0.0, 0.0, -1.0), atol=1e-12)
     acted = np.flatnonzero(np.abs(rows).any(axis=1))
     probe = mechanism.bodies.names.index("probe")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from problems import both_ways, lane_of
 
-from softcal_jax.actuators import Cable, Guide, Motor, actuator_rows
+from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ActuatorForce,
@@ -326,7 +326,7 @@ def test_friction_of_one_cable_among_others_of_other_sizes():
     ]
     model = build_model(MESH, NeoHookean(5e5, 0.3), density=1e3, actuators=cables)
     x = jnp.asarray(model.mechanism.points)
-    rows = eqx.filter_jit(lambda model: actuator_rows(model.mechanism.actuators, x))
+    rows = eqx.filter_jit(lambda model: model.mechanism.actuators.rows(x))
     for index, name in enumerate(paths):
         entry = friction(name, 0.2, limit=0.1, **KNOWN)
         changed, _ = entry.apply(model, None, {f"friction of {name}": jnp.array(0.4)})
