@@ -22,8 +22,6 @@ from softcal_jax.configurations._configuration import (
     beyond as beyond,
     configuration_arrays as configuration_arrays,
     configuration_lanes as configuration_lanes,
-    measured_as as measured_as,
-    measured_at_rest as measured_at_rest,
 )
 from softcal_jax.configurations._csv_table import read_table as read_table
 from softcal_jax.configurations._effector import (

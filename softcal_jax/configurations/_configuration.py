@@ -38,7 +38,7 @@ from softcal_jax.configurations._effector import (
     Unstated,
     stack_effectors,
 )
-from softcal_jax.configurations._markers import Markers, marker_rows
+from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.contact import depths_at_start
 from softcal_jax.mesh import TetMesh
@@ -135,6 +135,53 @@ class Configuration(Module):
                 raise ValueError(f"{self.name!r} has measured positions, no markers.")
             self.markers.check_measured(self.measured, self.name)
 
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> list[EffectorRow]:
+        """List coordinates of its effectors: markers first, then the others.
+
+        Raises:
+            ValueError: If two have one name, or one does not fit the model.
+        """
+        rows: list[EffectorRow] = []
+        try:
+            if self.markers is not None:
+                rows += self.markers.rows(mesh, self.measured)
+            for effector in self.effectors:
+                if effector.name in [row.name for row in rows]:
+                    raise ValueError(
+                        f"effector {effector.name!r} has the name of another one."
+                    )
+                rows += effector.rows(mesh, mechanism)
+        except ValueError as error:
+            raise ValueError(f"configuration {self.name!r}: {error}") from error
+        return rows
+
+    def measured_as(
+        self, values: Float[HostArray, "n 3"], mesh: TetMesh, mechanism: Mechanism
+    ) -> "Configuration":
+        """Replace the measured values of all effectors; turns count from rest."""
+        used = 0 if self.markers is None else len(self.markers.names)
+        measured, effectors = None if self.markers is None else values[:used], []
+        for effector in self.effectors:
+            n = len(effector.rows(mesh, mechanism))
+            effectors.append(effector.measured_as(values[used : used + n], mechanism))
+            used += n
+        return replace(self, measured=measured, effectors=tuple(effectors))
+
+    def measured_at_rest(self, mesh: TetMesh, mechanism: Mechanism) -> "Configuration":
+        """Give all effectors placeholder values, so that all count.
+
+        Raises:
+            ValueError: If it has neither markers nor other effectors.
+        """
+        if self.markers is None and not self.effectors:
+            raise ValueError(
+                f"configuration {self.name!r} has no markers or effectors."
+            )
+        rest = np.zeros((len(self.rows(mesh, mechanism)), 3))
+        if self.markers is not None:
+            rest[: len(self.markers.names)] = self.markers.positions
+        return self.measured_as(rest, mesh, mechanism)
+
 
 class ConfigurationLanes(NamedTuple):
     """Arrays with one lane per configuration, and records of the effectors of each."""
@@ -186,7 +233,7 @@ def configuration_lanes(
     springs = coupled_springs(mesh, (*elastic,), np.zeros_like(mechanism.points))
     named = dict.fromkeys(load.name for c in configurations for load in c.loads)
     loads = (*named,) or (UNNAMED_LOADS,)
-    rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
+    rows = [c.rows(mesh, mechanism) for c in configurations]
     effectors, records = zip(*stack_effectors(rows, mechanism.points), strict=True)
     lanes = [
         _lane(mesh, mechanism, c, of_c, springs=springs, loads=loads)
@@ -276,58 +323,6 @@ def _stiffened(
         area[s, : mesh.n_nodes] = support.areas(mesh)
         stiffness[s] = support.stiffness
     return replace(springs, area=area, stiffness=stiffness, rest=rest)
-
-
-def _effector_rows(
-    mesh: TetMesh, c: Configuration, mechanism: Mechanism
-) -> list[EffectorRow]:
-    """List rows of effector coordinates: markers first, then other effectors."""
-    rows: list[EffectorRow] = []
-    try:
-        if c.markers is not None:
-            rows += marker_rows(mesh, c.markers, c.measured)
-        for effector in c.effectors:
-            if effector.name in [row.name for row in rows]:
-                raise ValueError(
-                    f"effector {effector.name!r} has the name of another one."
-                )
-            rows += effector.rows(mesh, mechanism)
-    except ValueError as error:
-        raise ValueError(f"configuration {c.name!r}: {error}") from error
-    return rows
-
-
-def measured_as(
-    c: Configuration,
-    values: Float[HostArray, "n 3"],
-    mesh: TetMesh,
-    mechanism: Mechanism,
-) -> Configuration:
-    """Replace the measured values of all effectors, in order; turns count from rest."""
-    n_markers = 0 if c.markers is None else len(c.markers.names)
-    used, effectors = n_markers, []
-    for effector in c.effectors:
-        n = len(effector.rows(mesh, mechanism))
-        effectors.append(effector.measured_as(values[used : used + n], mechanism))
-        used += n
-    measured = None if c.markers is None else values[:n_markers]
-    return replace(c, measured=measured, effectors=tuple(effectors))
-
-
-def measured_at_rest(
-    c: Configuration, mesh: TetMesh, mechanism: Mechanism
-) -> Configuration:
-    """Give all effectors of a configuration placeholder values, so that all count.
-
-    Raises:
-        ValueError: If it has neither markers nor other effectors.
-    """
-    if c.markers is None and not c.effectors:
-        raise ValueError(f"configuration {c.name!r} has no markers or effectors.")
-    rest = np.zeros((len(_effector_rows(mesh, c, mechanism)), 3))
-    if c.markers is not None:
-        rest[: len(c.markers.names)] = c.markers.positions
-    return measured_as(c, rest, mesh, mechanism)
 
 
 MORE = 1.05

@@ -98,19 +98,18 @@ class Markers(Module):
                 "marker that was lost out of this configuration's markers."
             )
 
-
-def marker_rows(
-    mesh: TetMesh, markers: Markers, measured: Float[HostArray, "n_markers 3"] | None
-) -> list[EffectorRow]:
-    """Return markers as rows of effectors, with their measured values if given."""
-    values, stds = measured, markers.stds()
-    if values is None:
-        values, stds = np.full_like(stds, np.nan), np.full_like(stds, np.inf)
-    of_each = markers.names, values, stds, _carriers(mesh, markers)
-    return [
-        EffectorRow(name, "point", "m", value, std, *carriers)
-        for name, value, std, carriers in zip(*of_each, strict=True)
-    ]
+    def rows(
+        self, mesh: TetMesh, measured: Float[HostArray, "n_markers 3"] | None
+    ) -> list[EffectorRow]:
+        """Return them as rows of effectors, with their measured values if given."""
+        values, stds = measured, self.stds()
+        if values is None:
+            values, stds = np.full_like(stds, np.nan), np.full_like(stds, np.inf)
+        of_each = self.names, values, stds, _carriers(mesh, self)
+        return [
+            EffectorRow(name, "point", "m", value, std, *carriers)
+            for name, value, std, carriers in zip(*of_each, strict=True)
+        ]
 
 
 def _carriers(

@@ -13,12 +13,7 @@ from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import Evaluator, as_sequence, linear_model
-from softcal_jax.configurations import (
-    Configuration,
-    check_numbers,
-    configuration_lanes,
-    measured_at_rest,
-)
+from softcal_jax.configurations import Configuration, check_numbers, configuration_lanes
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumProgress,
@@ -261,7 +256,7 @@ def survey(
     mesh, mechanism = model.mesh, model.mechanism
     # A configuration without effectors is no error: the verdict says it sees nothing.
     posed = [
-        measured_at_rest(c, mesh, mechanism) if c.markers or c.effectors else c
+        c.measured_at_rest(mesh, mechanism) if c.markers or c.effectors else c
         for c in configurations
     ]
     lanes = configuration_lanes(mesh, posed, mechanism)

@@ -16,7 +16,6 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
     configuration_lanes,
-    measured_at_rest,
 )
 from softcal_jax.equilibrium import (
     Model,
@@ -346,7 +345,7 @@ def tet_sensitivities(
     for field in names:
         find_field(model, field)
     mesh, mechanism = model.mesh, model.mechanism
-    measured = [measured_at_rest(c, mesh, mechanism) for c in posed]
+    measured = [c.measured_at_rest(mesh, mechanism) for c in posed]
     arrays, records = configuration_lanes(mesh, measured, mechanism)
     if any(e.quantity in _SEES_FORCES for of_pose in records for e in of_pose):
         raise ValueError(

@@ -17,8 +17,6 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     Markers,
     configuration_lanes,
-    measured_as,
-    measured_at_rest,
 )
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
@@ -90,7 +88,7 @@ def simulated_measurements(
         RuntimeError: If a configuration has no equilibrium.
     """
     mesh, mechanism = model.mesh, model.mechanism
-    posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
+    posed = [c.measured_at_rest(mesh, mechanism) for c in configurations]
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
     newton = newton or equilibrium.NewtonSettings()
@@ -112,7 +110,7 @@ def simulated_measurements(
         if noise:
             std = np.where(weight > 0.0, 1.0 / np.maximum(weight, 1e-300), 0)
             e = e + std * random.standard_normal(e.shape)
-        measured.append(measured_as(c, e, mesh, mechanism))
+        measured.append(c.measured_as(e, mesh, mechanism))
     return tuple(measured)
 
 
