@@ -40,7 +40,6 @@ from softcal_jax.configurations._effector import (
 )
 from softcal_jax.configurations._markers import Markers
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.contact import depths_at_start
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -296,7 +295,7 @@ def _check_outside(
     contacts = mechanism.contacts
     if contacts.n_obstacles == 0:
         return
-    depths = depths_at_start(contacts, mechanism.standing(bodies))
+    depths = contacts.depths_at_start(mechanism.standing(bodies))
     for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
         if depth > contacts.scale:
             deep = readable_values([float(depth)], "m", digits=3)

@@ -6,11 +6,6 @@ from softcal_jax.contact._contacts import (
     Obstacle as Obstacle,
     Standing as Standing,
     build_contacts as build_contacts,
-    contact_energy_and_force as contact_energy_and_force,
-    contact_states as contact_states,
-    contact_stiffness as contact_stiffness,
-    depths_at_start as depths_at_start,
-    passes_through as passes_through,
 )
 from softcal_jax.contact._shapes import (
     SHAPES as SHAPES,

@@ -282,7 +282,7 @@ def assemble(
     """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 
     `active` flags the actuators with an imposed displacement that acts; for `tamed` see
-    `contact_stiffness`.
+    `Posed.contact_tangent`.
     """
     model, u = posed.model, point.u
     actuators, which = model.mechanism.actuators, model.with_multiplier

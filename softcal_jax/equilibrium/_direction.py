@@ -85,7 +85,7 @@ def newton_direction(
 
     `strains`, and whether it is `exact` to take those of u: see `newton_terms`.
     `placed`: held nodes and bodies are known to be in place. `near`: the tangent is
-    near the last that was factorized. `tamed`: see `contact_stiffness`.
+    near the last that was factorized. `tamed`: see `Posed.contact_tangent`.
     """
     model, u = posed.model, point.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)

@@ -31,15 +31,7 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
-from softcal_jax.contact import (
-    Contacts,
-    ContactState,
-    Standing,
-    contact_energy_and_force,
-    contact_states,
-    contact_stiffness,
-    passes_through,
-)
+from softcal_jax.contact import Contacts, ContactState, Standing
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._sparsity import element_entries, reduce_values
@@ -220,16 +212,16 @@ class Posed(NamedTuple):
         if self.contacts.n_obstacles == 0:
             return jnp.zeros(()), jnp.zeros_like(u)
         x = self.model.positions(u)
-        return contact_energy_and_force(self.contacts, x, self.standing)
+        return self.contacts.energy_and_force(x, self.standing)
 
     def contact_tangent(
         self, u: Nodal, values: Float[Array, " nnz"], *, tamed
     ) -> Float[Array, " nnz"]:
-        """Add contact to the tangent over all nodes, see `contact_stiffness` [N/m]."""
+        """Add contact to the tangent over all nodes, see `Contacts.tangents` [N/m]."""
         if self.contacts.n_obstacles == 0:
             return values
         x, pattern = self.model.positions(u), self.model.pattern
-        stiffness = contact_stiffness(self.contacts, x, self.standing, tamed=tamed)
+        stiffness = self.contacts.tangents(x, self.standing, tamed=tamed)
         for matrices, places in zip(stiffness, self.model.contact_at, strict=True):
             p, q = element_entries(matrices.shape[1] // 3, pattern.symmetric)
             values = values.at[places].add(matrices[:, p, q].T)
@@ -239,14 +231,14 @@ class Posed(NamedTuple):
         """Compute what each obstacle feels."""
         if self.contacts.n_obstacles == 0:
             return ()
-        return contact_states(self.contacts, self.model.positions(u), self.standing)
+        return self.contacts.states(self.model.positions(u), self.standing)
 
     def passes_through(self, before: Nodal, after: Nodal) -> Bool[Array, ""]:
         """Tell whether the surface comes too deep into an obstacle on its way."""
         if self.contacts.n_obstacles == 0:
             return jnp.zeros((), bool)
         x, y = self.model.positions(before), self.model.positions(after)
-        return passes_through(self.contacts, x, y, self.standing)
+        return self.contacts.passes_through(x, y, self.standing)
 
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].

@@ -1,7 +1,5 @@
 """Shapes of obstacles: distances against surfaces, and the tangent of each."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,8 +15,6 @@ from softcal_jax.contact import (
     RoundedBox,
     RoundedCylinder,
     Standing,
-    contact_energy_and_force,
-    contact_stiffness,
     read_surface,
 )
 from softcal_jax.mesh import beam
@@ -102,18 +98,15 @@ def test_the_tangent_is_exact_however_deep(friction):
     contacts, x = mechanism.contacts, jnp.asarray(mechanism.points)
     shift = jnp.zeros_like(x).at[contacts.frames[0]].add(jnp.array([1e-4, 0.0, 5e-5]))
     standing = Standing(jnp.ones(1, bool), (x + 3.0 * shift)[contacts.frames])
-    of_nodes = lambda x: contact_energy_and_force(contacts, x, standing)[1]
+    of_nodes = lambda x: contacts.energy_and_force(x, standing)[1]
     way = jnp.asarray(np.random.default_rng(1).normal(size=x.shape))
     _, wanted = jax.jvp(of_nodes, (x,), (way,))
-    (nodes,), (matrices,) = (
-        contacts.cliques(),
-        contact_stiffness(contacts, x, standing),
-    )
+    (nodes,), (matrices,) = contacts.cliques(), contacts.tangents(x, standing)
     moved = way[nodes].reshape(len(nodes), -1)
     forces = jnp.einsum("fpq,fq->fp", matrices, moved).reshape(*nodes.shape, 3)
     found = jnp.zeros_like(x).at[nodes].add(forces)
     scale = float(jnp.abs(wanted).max())
     assert scale > 0.0
     np.testing.assert_allclose(found, wanted, atol=1e-10 * scale)
-    tamed = partial(contact_stiffness, contacts, x, standing)(tamed=True)
+    tamed = contacts.tangents(x, standing, tamed=True)
     assert float(jnp.abs(tamed[0] - matrices).max()) > 1e-3 * scale / len(x)
