@@ -45,11 +45,13 @@ class AbstractCliques(Module):
         nodes: Nodes of the cliques; one that repeats within a clique is padding.
         owner: Index of the actuator that each clique belongs to.
         curved: Whether the force depends on the positions of the nodes.
+        conservative: Whether the force is the gradient of their part of delta_a.
     """
 
     nodes: Int[Array, "*cliques m"]
     owner: Int[Array, "*cliques"]
     curved: ClassVar[bool] = True
+    conservative: ClassVar[bool] = False
 
     @abstractmethod
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
@@ -70,7 +72,9 @@ class AbstractCliques(Module):
 
 
 class AbstractDisplacedCliques(AbstractCliques):
-    """Cliques with a displacement, whatever their force."""
+    """Cliques with a displacement, whose gradient is their force unless they say so."""
+
+    conservative: ClassVar[bool] = True
 
     @abstractmethod
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
@@ -78,10 +82,6 @@ class AbstractDisplacedCliques(AbstractCliques):
 
     def displacement_row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         return jax.grad(self.contribution)(x)
-
-
-class AbstractPotentialCliques(AbstractDisplacedCliques):
-    """Cliques whose force is the gradient of their part of delta_a."""
 
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         return self.displacement_row(x)
@@ -259,7 +259,7 @@ class SurfaceForceActuator(AbstractActuator):
         return (WeightedNodes(*owned(faces, owner, parts), by_area=True),)
 
 
-class WeightedNodes(AbstractPotentialCliques):
+class WeightedNodes(AbstractDisplacedCliques):
     """Nodes of tets or faces whose positions, by `weights` [-], add up to delta_a.
 
     Those `by_area` are the shares of faces in the area at rest of all of an actuator.
@@ -323,7 +323,7 @@ class Motor(AbstractActuator):
         return (MotorFrames(*owned(nodes[None], owner, plane)),)
 
 
-class MotorFrames(AbstractPotentialCliques):
+class MotorFrames(AbstractDisplacedCliques):
     """Frames of driven bodies, four nodes each; each adds its angle to delta_a.
 
     The `plane` holds first and second axis at rest, of equal length [m].

@@ -15,7 +15,6 @@ from softcal_jax.actuators._actuator import (
     AbstractActuator,
     AbstractCliques,
     AbstractDisplacedCliques,
-    AbstractPotentialCliques,
     ActuatorGeometry,
     Kind,
     Motor,
@@ -63,7 +62,7 @@ class ActuatorArrays(Module):
     @property
     def symmetric(self) -> bool:
         """Whether all have a potential, which makes their tangent symmetric."""
-        return all(isinstance(g, AbstractPotentialCliques) for g in self.groups)
+        return all(group.conservative for group in self.groups)
 
     def with_friction(
         self, index: int, mu: Float[Array, ""] | float

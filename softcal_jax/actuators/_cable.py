@@ -16,7 +16,6 @@ from softcal_jax.actuators._actuator import (
     OUTSIDE,
     AbstractActuator,
     AbstractDisplacedCliques,
-    AbstractPotentialCliques,
     ActuatorGeometry,
     Kind,
     RestState,
@@ -237,7 +236,7 @@ class AbstractGuided(AbstractDisplacedCliques):
         )
 
 
-class CableSegments(AbstractGuided, AbstractPotentialCliques):
+class CableSegments(AbstractGuided):
     """Straight segments between two guides; each adds minus its length to delta_a."""
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
@@ -255,6 +254,7 @@ class FrictionalCables(AbstractGuided):
 
     friction: Float[Array, "*cliques"]
     sense: Float[Array, "*cliques"]
+    conservative: ClassVar[bool] = False
 
     def _segments(self, x: Float[Array, "m 3"]) -> Float[Array, "n_segments 3"]:
         return jnp.diff(self.weights @ x + self.fixed, axis=0)

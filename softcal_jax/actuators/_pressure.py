@@ -21,7 +21,7 @@ from softcal_jax.actuators._actuator import (
     SURFACE,
     AbstractActuator,
     AbstractCliques,
-    AbstractPotentialCliques,
+    AbstractDisplacedCliques,
     ActuatorGeometry,
     Kind,
     RestState,
@@ -110,7 +110,7 @@ class AbstractPressedFaces(AbstractCliques):
         return ActuatorGeometry(faces=nodes, face_owner=owner)
 
 
-class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
+class ChamberFaces(AbstractPressedFaces, AbstractDisplacedCliques):
     """Faces of the walls of chambers; each adds a cone's volume to delta_a.
 
     V = -1/3 integral of (x - c) . n dA by the divergence theorem. The normal n points
@@ -254,7 +254,7 @@ def rims(
     return rings
 
 
-class ChamberLids(AbstractPotentialCliques):
+class ChamberLids(AbstractDisplacedCliques):
     """Lids of chambers, one ring of nodes each; each adds a cone's volume to delta_a.
 
     With c the mean of the rim, n dA out of the chamber, and o any point, the lid adds

@@ -192,14 +192,9 @@ class ConfigurationArrays(Module):
         key: `name_key` of the configuration and of its recording: arrays hold no text.
         fixed: Which coordinates are held.
         imposed: Their displacement, at full load [m].
-        springs: The elastic supports.
-        loads: The dead loads.
         gravity: Acceleration of gravity as stated [m/s2].
         tilt: Angles by which its direction is off, about two axes perpendicular to it
             [rad]; 0 unless they are parameters. See `acceleration`.
-        bodies: States of the rigid bodies.
-        actuation: Imposed forces and displacements of the actuators.
-        effectors: The measured points.
     """
 
     key: Int[AnyArray, "*batch 2"]

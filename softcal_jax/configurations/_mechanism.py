@@ -34,9 +34,7 @@ class Mechanism(Module):
 
     Attributes:
         points: All nodes at rest, the frame nodes of the bodies last [m].
-        bodies: The rigid bodies.
         contacts: Which of them are obstacles, and the surface that they may touch.
-        actuators: The actuators.
         motor_zero: Zero error of each motor, added to the angle of its encoder [rad];
             0 for other actuators.
     """

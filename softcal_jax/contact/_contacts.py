@@ -143,11 +143,9 @@ class Contacts(Module):
         depth: How deep a point may come into each obstacle [m].
         stiffness: The modulus E of the pressure [Pa].
         scale: The length s; surfaces feel each other at half of it [m].
-        shapes: The shapes of the obstacles.
         body: Index of the rigid body of each of them.
         friction: Coefficient of friction up to which points stick to each [-].
         sticks: Whether it has friction; else points slide.
-        names: Names of the obstacles.
     """
 
     faces: Int[HostArray, "n_faces n_fn"]
