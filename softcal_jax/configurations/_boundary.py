@@ -65,8 +65,8 @@ class Support(Module):
     def apply(
         self,
         mesh: TetMesh,
-        fixed: Bool[HostArray, "n_nodes 3"],
-        imposed: Float[HostArray, "n_nodes 3"],
+        fixed: Bool[HostArray, "n_points 3"],
+        imposed: Float[HostArray, "n_points 3"],
     ) -> None:
         """Write the support into the masks of a configuration."""
         nodes = meshes.node_indices(mesh, self.where, "a support")

@@ -250,35 +250,35 @@ def _lane(
     springs: Springs,
     loads: tuple[str, ...],
 ) -> ConfigurationArrays:
-    fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
-    imposed, rest = np.zeros((2, mesh.n_nodes, 3))
+    # Nodes of the bodies' frames come after those of the mesh.
+    n_nodes, n_points = mesh.n_nodes, len(mechanism.points)
+    fixed, sprung = np.zeros((2, n_points, 3), bool)
+    imposed, rest = np.zeros((2, n_points, 3))
     for support in c.supports:
         rigid = support.stiffness is None
         support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
-    check_apart(mesh, mechanism, fixed | sprung, c.name)
+    held = (fixed | sprung)[:n_nodes]
+    check_apart(mesh, mechanism, held, c.name)
     bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
     actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
-    force = np.zeros((len(loads), len(mechanism.points), 3))
+    force = np.zeros((len(loads), n_points, 3))
     by_node = NodalForces | PointForce
     shared_out = [load.name for load in c.loads if not isinstance(load, by_node)]
     for load in c.loads:
-        force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)
+        force[loads.index(load.name), :n_nodes] += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
     motors = mechanism.actuators.motors
     for name, k in motors.items():
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
         kind[k] = KINDS.index("held" if by_angle else "hinged")
     balanced = bool(np.any(c.gravity) or c.loads or {*c.actuation} - {*motors})
-    check_held(mesh, mechanism, fixed | sprung, kind, name=c.name, balanced=balanced)
+    check_held(mesh, mechanism, held, kind, name=c.name, balanced=balanced)
     _check_outside(mechanism, bodies, c.name)
-    # Nodes of the bodies' frames come after those of the mesh.
-    more = len(mechanism.points) - mesh.n_nodes
-    all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
     return ConfigurationArrays(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
-        fixed=all_nodes(fixed),
-        imposed=all_nodes(imposed),
-        springs=_stiffened(springs, mesh, c, all_nodes(rest)),
+        fixed=fixed,
+        imposed=imposed,
+        springs=_stiffened(springs, mesh, c, rest),
         loads=DeadLoads(force, np.ones(len(force)), np.isin(loads, shared_out), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),

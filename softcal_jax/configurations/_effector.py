@@ -115,8 +115,8 @@ def effector_row(
             f"{words.get(n_values, 'a finite number')} [{unit}]; leave out what was "
             "not measured."
         )
-    both = (np.full(n_values, numbers, float) for numbers in (value, stds))
-    return EffectorRow(name, quantity, unit, *both, **carriers)
+    measured, stds = np.full(n_values, value, float), np.full(n_values, stds, float)
+    return EffectorRow(name, quantity, unit, measured, stds, **carriers)
 
 
 Readings = Float[HostArray, "k 3"]

@@ -38,26 +38,26 @@ class _Reading(NamedTuple):
     of: Any
 
     def __call__(self, model, configuration, state) -> Float[Array | HostArray, "..."]:
-        return self.function(model, state, self.of)
+        return self.function(state, self.of)
 
 
-def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
+def _reaction(state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
     return state.ground_forces[np.array(nodes, int)].sum(axis=0)
 
 
-def _contact(model, state, of: tuple[str, int, tuple[float, ...] | None]):
+def _contact(state, of: tuple[str, int, tuple[float, ...] | None]):
     what, obstacle, axis = of
     value = getattr(state.contacts[obstacle], what)
     return value if axis is None else (value * np.array(axis)).sum()
 
 
-def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
+def _angle(state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
     body, other, axis = of
     R = state.body_rotations
     return angle_about(R[body], R[other], np.array(axis))
 
 
-def _of_actuator(model, state, of: tuple[str, int]) -> Float[Array, ""]:
+def _of_actuator(state, of: tuple[str, int]) -> Float[Array, ""]:
     what, actuator = of
     return getattr(state, what)[actuator]
 
