@@ -1,28 +1,14 @@
-"""Kinematics of rigid bodies: rotations, frames, mounting and twists.
-
-A step of a body is a twist: three displacements of the origin of its frame and three
-angles, along its mounted axes. Angles count in metres at the ends of the frame's axes
-(times `BodyArrays.length`), so that all unknowns have one unit.
-"""
-
-from typing import NamedTuple
+"""Rotations of rigid bodies, and the path on which one winds to an imposed pose."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.bodies._body import (
-    KINDS,
-    BodyArrays,
-    BodyStateArrays,
-    hinge_axes,
-)
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.bodies._body import hinge_axes
 
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
-
-_GUIDED = 2  # axis of a frame, of three, about which a hinge turns, or a slide moves
 
 WIND = 0.05
 """Singular value of a screw below which its strain is no longer followed [-]."""
@@ -90,34 +76,6 @@ def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
     return factor * q[1:]
 
 
-class Frames(NamedTuple):
-    """Origins of the frames of the bodies [m], and their rotations from rest [-]."""
-
-    origin: Float[Array, "n_b 3"]
-    rotation: Float[Array, "n_b 3 3"]
-
-    def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
-        return Frames(
-            jnp.where(mask[:, None], self.origin, others.origin),
-            jnp.where(mask[:, None, None], self.rotation, others.rotation),
-        )
-
-
-def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Frames:
-    """Compute frames from the positions of the frame nodes, four per body [m].
-
-    Axes are orthogonalised in case a linear prediction distorted them.
-    """
-    ends = ends.reshape(bodies.n_bodies, 4, 3)
-    now = (ends[:, 1:] - ends[:, :1]) / bodies.length
-    first = now[:, 0] / jnp.linalg.norm(now[:, 0], axis=1, keepdims=True)
-    second = now[:, 1] - first * jnp.sum(first * now[:, 1], axis=1, keepdims=True)
-    second = second / jnp.linalg.norm(second, axis=1, keepdims=True)
-    orthogonal = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
-    rotation = jnp.sum(orthogonal[:, :, :, None] * bodies.axes[:, :, None, :], axis=1)
-    return Frames(ends[:, 0], rotation)
-
-
 def angle_about(
     R: Float[Array, "3 3"], other: Float[Array, "3 3"], axis: Float[HostArray, "3"]
 ) -> Float[Array, ""]:
@@ -126,38 +84,6 @@ def angle_about(
     first, second, _ = hinge_axes(axis)
     turned = jnp.sum(relative * first[None, :], axis=1)
     return jnp.arctan2(jnp.sum(turned * second), jnp.sum(turned * first))
-
-
-def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
-    """Compute the positions of the frame nodes [m]."""
-    axes = _apply(frames.rotation[:, None], jnp.asarray(bodies.axes))
-    ends = frames.origin[:, None] + bodies.length * axes
-    return jnp.concatenate([frames.origin[:, None], ends], axis=1)
-
-
-def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
-    return jnp.sum(R * v[..., None, :], axis=-1)
-
-
-class Mounted(NamedTuple):
-    """Frames after a share of their mounting.
-
-    The share is `load`, which also applies to imposed poses [-]; `rotation` is that of
-    the mountings, `axes` are by rows [-], and `home` are the origins of held and hinged
-    bodies [m].
-    """
-
-    load: Float[Array, ""]
-    rotation: Float[Array, "n_b 3 3"]
-    axes: Float[Array, "n_b 3 3"]
-    home: Float[Array, "n_b 3"]
-
-
-def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:
-    """Return the frames after a share of their mounting, before any imposed pose."""
-    R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
-    home = jnp.asarray(bodies.origin) + load * bodies.mounting_translation
-    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), home)
 
 
 def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
@@ -213,57 +139,3 @@ def winding(
     strain = arm + inverse @ (arm + translation - V @ arm)
     on_path = _screw(load * rotation)[0] @ ((1.0 - load) * arm + load * strain)
     return on_path - arm - load * (V @ strain - arm)
-
-
-def place(
-    bodies: BodyArrays,
-    state: BodyStateArrays,
-    mounted: Mounted,
-    frames: Frames,
-    twist: Float[Array, "n_b 6"],
-) -> Frames:
-    """Move bodies that are not held by their twists [m]; place others as imposed."""
-    load, mounting, axes, home = mounted
-    along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
-    turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
-    first = _apply(turned, axes[:, 0])
-    about = lambda axis: jnp.sum(first * axes[:, axis], axis=1)
-    displacements, angles = twist[:, :3], twist[:, 3:]
-    angle = jnp.arctan2(about(1), about(0)) + angles[:, _GUIDED] / bodies.length
-    turns = [
-        along(angles) / bodies.length,
-        angle[:, None] * axes[:, 2],
-        state.rotation_at(load),
-    ]
-    # One stacked call, since each separate one would be compiled again.
-    by_twist, by_angle, by_pose = jax.vmap(jax.vmap(rotation_matrix))(jnp.stack(turns))
-    free = Frames(
-        frames.origin + along(displacements), _product(by_twist, frames.rotation)
-    )
-    hinged = Frames(home, _product(by_angle, mounting))
-    held = Frames(home, _product(by_pose, mounting))
-    slide = axes[:, _GUIDED]
-    way = jnp.sum(slide * (frames.origin - home), axis=1) + displacements[:, _GUIDED]
-    sliding = Frames(home + way[:, None] * slide, mounting)
-    untied = hinged.where(state.kind == KINDS.index("hinged"), held)
-    untied = sliding.where(state.kind == KINDS.index("sliding"), untied)
-    untied = free.where(state.kind == KINDS.index("free"), untied)
-    # A tied body follows its owner, after its own mounting.
-    rest = jnp.asarray(bodies.origin)
-    arm = rest + load * bodies.mounting_translation - rest[bodies.owner]
-    origin, rotation = untied.origin[bodies.owner], untied.rotation[bodies.owner]
-    tied = Frames(origin + _apply(rotation, arm), _product(rotation, mounting))
-    return tied.where(bodies.tied, untied)
-
-
-def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
-    return jnp.sum(A[:, :, :, None] * B[:, None], axis=2)
-
-
-def blocked(state: BodyStateArrays, bodies: BodyArrays):
-    """Flag the entries of the twists that are not unknowns."""
-    kind = state.kind[:, None]
-    free = kind == KINDS.index("free")
-    for name, way in (("hinged", 3 + _GUIDED), ("sliding", _GUIDED)):
-        free = free | ((kind == KINDS.index(name)) & (jnp.arange(6)[None] == way))
-    return ~free | bodies.tied[:, None]

@@ -88,7 +88,7 @@ class Mechanism(Module):
             jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
             jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
         )
-        ends = rigid.frame_nodes(bodies, frames)
+        ends = bodies.frame_nodes(frames)
         return Standing(present, ends[which])
 
 

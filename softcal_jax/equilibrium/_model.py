@@ -18,7 +18,7 @@ from jaxtyping import Shaped
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import AbstractGuided, ActuatorArrays, WeightedNodes
-from softcal_jax.bodies import KINDS, Frames, frames_at
+from softcal_jax.bodies import KINDS, Frames
 from softcal_jax.configurations import (
     ActuatorDisplacement,
     Configuration,
@@ -111,7 +111,7 @@ class Model(Module):
 
     def frames(self, u: Nodal) -> Frames:
         """Return the frames of the rigid bodies."""
-        return frames_at(self.mechanism.bodies, self.positions(u)[self.mesh.n_nodes :])
+        return self.mechanism.bodies.frames_at(self.positions(u)[self.mesh.n_nodes :])
 
     def displacements(self, u: Nodal) -> Float[Array, " n_a"]:
         """Return the displacements delta_a of the actuators."""

@@ -19,10 +19,6 @@ from softcal_jax.bodies import (
     BodyStateArrays,
     Frames,
     Mounted,
-    blocked,
-    frame_nodes,
-    mounted,
-    place,
     rotation_matrix,
     winding,
 )
@@ -133,10 +129,10 @@ class Posed(NamedTuple):
         load, plan = jnp.ones((), f_ext.dtype), model.reduction
         if plan is None:
             return cls(model, configuration, f_ext, held.ravel(), load)
-        frames = mounted(model.mechanism.bodies, load)
+        frames = model.mechanism.bodies.mounted(load)
         states = _body_states(model, configuration, frames)
         frames = frames._replace(home=frames.home + states.translation_at(load))
-        twists = blocked(states, model.mechanism.bodies)
+        twists = model.mechanism.bodies.blocked(states)
         held = held.at[plan.rigid].set(True)
         fixed = jnp.concatenate([held.ravel(), twists.ravel()])
         arms = _arms_from_supports(model, configuration, states)
@@ -146,7 +142,7 @@ class Posed(NamedTuple):
         """Pose the configuration at another share of the load, on the way to full."""
         if self.states is None or self.arms is None:
             return self._replace(load=load)
-        frames = mounted(self.model.mechanism.bodies, load)
+        frames = self.model.mechanism.bodies.mounted(load)
         moved = jnp.asarray(self.states.translation)
         turned = jnp.asarray(self.states.rotation)
         wound = jax.vmap(winding, (0, 0, 0, None))(self.arms, moved, turned, load)
@@ -281,7 +277,7 @@ class Posed(NamedTuple):
             return u + d.reshape(u.shape)
         bodies = self.model.mechanism.bodies
         twists = d[u.size :].reshape(-1, 6)
-        frames = place(bodies, self.states, self.mounted, self.model.frames(u), twists)
+        frames = bodies.place(self.states, self.mounted, self.model.frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
 
     def swing(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
@@ -358,7 +354,7 @@ class Posed(NamedTuple):
     def _with_bodies(self, u: Nodal, frames: Frames):
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes
         points = jnp.asarray(self.model.mechanism.points)
-        ends = frame_nodes(bodies, frames)
+        ends = bodies.frame_nodes(frames)
         attached = jnp.sum(bodies.weights[:, :, None] * ends[bodies.body], axis=1)
         u = jnp.concatenate([u[:n_nodes], ends.reshape(-1, 3) - points[n_nodes:]])
         moved = attached - points[bodies.attached]
