@@ -57,9 +57,10 @@ class AbstractCliques(Module):
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
         """Force on the nodes of one clique at the positions `x`, for lambda_a = 1."""
 
-    @abstractmethod
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Collect what to draw of all cliques at the positions of all nodes [m]."""
+        """Collect what to draw at the positions of all nodes [m]: faces by default."""
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
+        return ActuatorGeometry(faces=nodes, face_owner=owner)
 
     def following(self, mesh: TetMesh, n_actuators: int) -> "AbstractCliques":
         """Return the cliques on a mesh with other points; what it carries follows."""

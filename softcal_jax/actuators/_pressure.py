@@ -102,15 +102,7 @@ class Chamber(AbstractActuator):
         )
 
 
-class AbstractPressedFaces(AbstractCliques):
-    """Faces on which a pressure acts."""
-
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
-        return ActuatorGeometry(faces=nodes, face_owner=owner)
-
-
-class ChamberFaces(AbstractPressedFaces, AbstractDisplacedCliques):
+class ChamberFaces(AbstractDisplacedCliques):
     """Faces of the walls of chambers; each adds a cone's volume to delta_a.
 
     V = -1/3 integral of (x - c) . n dA by the divergence theorem. The normal n points
@@ -150,7 +142,7 @@ class SurfacePressure(AbstractActuator):
         return (PressureFaces(*owned(faces, owner)),)
 
 
-class PressureFaces(AbstractPressedFaces):
+class PressureFaces(AbstractCliques):
     """Faces under a following pressure, their normals out of the body."""
 
     def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
