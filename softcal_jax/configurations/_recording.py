@@ -20,6 +20,18 @@ IN_TWO = 0.75
 SMALL = 5e-4  # scatter that does not matter, half the usual std of a marker [m]
 WIDTH = 0.1  # width of the window around a single time [s]
 
+HELD = 0.5  # share of the largest motion from which a pose counts as moved [-]
+STILL = 0.02  # share of the largest motion by which markers may wander on a plateau [-]
+
+NOISE = 4.0
+"""Standard deviations of the noise by which `STILL` may be exceeded [-]."""
+
+FEWEST = 5  # fewest frames of a plateau: fewer hardly have a trend
+
+# A second difference of white noise has six times its variance, and the median of the
+# absolute value of a normal variable is 0.6745 standard deviations.
+_SECOND, _MEDIAN = np.sqrt(6.0), 0.6745
+
 
 class Recording(Module):
     """Positions of markers over time, in the frame of the cameras.
@@ -145,27 +157,74 @@ class Recording(Module):
     ) -> MarkerTable:
         """Return mean positions while the markers stand still after they have moved.
 
-        `find_plateau` defines a plateau. It lasts at least a `length` [s], and lies
-        after the step or event, see `between`; where nothing moves, the whole recording
-        is a plateau.
+        A marker has moved in a frame in which it is farther from where it was first
+        seen than half of its largest distance from there; where no marker moves by more
+        than its noise, all frames count. Of the stretches of a `length` [s] in such
+        frames, after the step or event, see `between`, the core is the one with the
+        least scatter of its most scattered marker. The plateau is all frames around it,
+        without a break, in which no marker, averaged over five frames, is farther from
+        its mean over the core than 2 % of the largest motion and four standard
+        deviations of the noise.
 
         Raises:
             ValueError: If there is none of that length, or no such step or event.
         """
         zero, since_what = self._zero(after_step_of, after_event)
-        after = self.times >= zero
-        first = int(np.argmax(after)) if after.any() else len(self.times)
         try:
-            start, stop = find_plateau(
-                self.times[first:], self.positions[first:], self.positions, length
-            )
+            inside = self._still(int(np.searchsorted(self.times, zero)), length)
         except ValueError as error:
             raise ValueError(f"{self.source}{since_what}: {error}") from error
-        inside = np.zeros(len(self.times), bool)
-        inside[first + start : first + stop] = True
         begin, end = self.times[inside][[0, -1]] - zero
         window = f"on the plateau between {begin:g} and {end:g} s{since_what}"
         return self._mean(inside, window)
+
+    def _still(self, begin: int, length: float) -> slice:
+        """Find the frames of the plateau among those from `begin` on."""
+        if not length > 0.0:
+            raise ValueError(f"a plateau has a positive length [s], got {length:g}.")
+        times, positions = self.times[begin:], self.positions[begin:]
+        moved = np.linalg.norm(self.positions - _first_seen(self.positions), axis=2)
+        motion = np.max(moved, axis=0, initial=0.0, where=np.isfinite(moved))
+        # Noise of a distance, which has three coordinates.
+        noise = NOISE * np.sqrt(3.0) * _noise(self.positions)
+        moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
+        allowed = STILL * np.max(motion[moving], initial=0.0) + noise
+        shares = np.ma.masked_invalid(moved[begin:, moving] / motion[moving])
+        held = np.ma.filled(shares.mean(axis=1) >= HELD, False) | ~moving.any()
+        first, stop = _stretches(times, held, length)
+        mean = _means(positions)
+        # Relative to where they were first seen, so that no digits are lost.
+        near = np.nan_to_num(_first_seen(positions))
+        square = _means(np.square(positions - near))(first, stop)
+        scatter = np.sum(square - np.square(mean(first, stop) - near), axis=2)
+        # Of the markers that are seen; there may be none.
+        spread = np.ma.filled(np.ma.masked_invalid(scatter).max(axis=1), np.inf)
+        if not np.any(np.isfinite(spread)):
+            raise ValueError(
+                f"the markers are held for less than {length:g} s away from where they "
+                "begin: there is no plateau of that length."
+            )
+        k = int(np.argmin(spread))
+        best = int(first[k]), int(stop[k])
+        # Averaged over some frames, so that one outlier does not end the plateau.
+        around = np.clip(np.arange(len(times)) - FEWEST // 2, 0, len(times) - FEWEST)
+        smooth = mean(around, around + FEWEST)
+        off = np.linalg.norm(smooth - mean(first[k], stop[k]), axis=2)
+        still = held & ~np.any(off > allowed, axis=1)
+        breaks = np.flatnonzero(~still)
+        start = int(breaks[breaks < best[0]].max(initial=-1)) + 1
+        stop = int(breaks[breaks >= best[0]].min(initial=len(times)))
+        if stop < best[1]:
+            worst = [float(np.nanmax(off[best[0] : best[1]]))]
+            far = readable_values(worst, "m", digits=3)
+            raise ValueError(
+                f"there is no plateau of {length:g} s: even in the stillest stretch, "
+                f"between {times[best[0]]:g} and {times[best[1] - 1]:g} s, a marker is "
+                f"{far} off its mean, by more than {100 * STILL:g} % of the "
+                "largest motion and its noise. Ask for a shorter one, or say `between` "
+                "which times to average."
+            )
+        return slice(begin + start, begin + stop)
 
     def renamed(self, labels: Mapping[str, str]) -> "Recording":
         """Return it with new names of markers; `labels` are the old names by the new.
@@ -198,7 +257,9 @@ class Recording(Module):
             return self.time_of(after_event), f" from the event {after_event!r}"
         return 0.0, ""
 
-    def _mean(self, inside: Bool[HostArray, " n_frames"], window: str) -> MarkerTable:
+    def _mean(
+        self, inside: slice | Bool[HostArray, " n_frames"], window: str
+    ) -> MarkerTable:
         """Average the frames of a window that see a marker."""
         part = self.positions[inside]
         seen = np.all(np.isfinite(part), axis=2)
@@ -238,86 +299,6 @@ class Traces(Module):
     recording: Recording
     windows: Mapping[str, tuple[float, float]]
     names: tuple[str, ...]
-
-
-HELD = 0.5  # share of the largest motion from which a pose counts as moved [-]
-STILL = 0.02  # share of the largest motion by which markers may wander on a plateau [-]
-
-NOISE = 4.0
-"""Standard deviations of the noise by which `STILL` may be exceeded [-]."""
-
-FEWEST = 5  # fewest frames of a plateau: fewer hardly have a trend
-
-# A second difference of white noise has six times its variance, and the median of the
-# absolute value of a normal variable is 0.6745 standard deviations.
-_SECOND, _MEDIAN = np.sqrt(6.0), 0.6745
-
-
-def find_plateau(
-    times: Float[HostArray, " n_frames"],
-    positions: Float[HostArray, "n_frames n_markers 3"],
-    whole: Float[HostArray, "n_all n_markers 3"],
-    length: float,
-) -> tuple[int, int]:
-    """Find the frames in which markers stand still after they have moved.
-
-    A marker has moved in a frame in which it is farther from where it was first seen
-    than half of its largest distance from there; where no marker moves by more than
-    its noise, all frames count. Of the stretches of `length` in such frames, the core
-    is the one with the least scatter of its most scattered marker. The plateau is
-    all frames around it, without a break, in which no marker, averaged over five
-    frames, is farther from its mean over the core than 2 % of the largest
-    motion and four standard deviations of the noise.
-
-    Only frames with `times` and `positions` are searched, nan where a marker was
-    occluded; motion and noise are those of the `whole` recording [s, m]. The first
-    frame of the plateau is returned, and the frame after its last.
-    """
-    if not length > 0.0:
-        raise ValueError(f"a plateau has a positive length [s], got {length:g}.")
-    away = np.linalg.norm(positions - _first_seen(whole), axis=2)
-    moved = np.linalg.norm(whole - _first_seen(whole), axis=2)
-    motion = np.max(moved, axis=0, initial=0.0, where=np.isfinite(moved))
-    # Noise of a distance, which has three coordinates.
-    noise = NOISE * np.sqrt(3.0) * _noise(whole)
-    moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
-    allowed = STILL * np.max(motion[moving], initial=0.0) + noise
-    share = np.ma.masked_invalid(away[:, moving] / motion[moving]).mean(axis=1)
-    held = np.ma.filled(share >= HELD, False) | ~moving.any()
-    first, stop = _stretches(times, held, length)
-    mean = _means(positions)
-    # Relative to where they were first seen, so that no digits are lost.
-    near = np.nan_to_num(_first_seen(positions))
-    square = _means(np.square(positions - near))(first, stop)
-    scatter = np.sum(square - np.square(mean(first, stop) - near), axis=2)
-    # Of the markers that are seen; there may be none.
-    spread = np.ma.filled(np.ma.masked_invalid(scatter).max(axis=1), np.inf)
-    if not np.any(np.isfinite(spread)):
-        raise ValueError(
-            f"the markers are held for less than {length:g} s away from where they "
-            "begin: there is no plateau of that length."
-        )
-    k = int(np.argmin(spread))
-    best = int(first[k]), int(stop[k])
-    # Averaged over some frames, so that one outlier does not end the plateau.
-    around = np.clip(np.arange(len(times)) - FEWEST // 2, 0, len(times) - FEWEST)
-    smooth = mean(around, around + FEWEST)
-    off = np.linalg.norm(smooth - mean(first[k], stop[k]), axis=2)
-    still = held & ~np.any(off > allowed, axis=1)
-    breaks = np.flatnonzero(~still)
-    start = int(breaks[breaks < best[0]].max(initial=-1)) + 1
-    stop = int(breaks[breaks >= best[0]].min(initial=len(times)))
-    if stop < best[1]:
-        worst = [float(np.nanmax(off[best[0] : best[1]]))]
-        far = readable_values(worst, "m", digits=3)
-        raise ValueError(
-            f"there is no plateau of {length:g} s: even in the stillest stretch, "
-            f"between {times[best[0]]:g} and {times[best[1] - 1]:g} s, a marker is "
-            f"{far} off its mean, by more than {100 * STILL:g} % of the "
-            "largest motion and its noise. Ask for a shorter one, or say `between` "
-            "which times to average."
-        )
-    return start, stop
 
 
 def _stretches(times, held, length):
