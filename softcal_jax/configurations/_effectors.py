@@ -35,30 +35,27 @@ class _Reading(NamedTuple):
     """A function like that of `Observation`; equal if `function` and `of` are equal."""
 
     function: Callable[..., Any]
-    of: Any
+    of: tuple[Any, ...]
 
     def __call__(self, model, configuration, state) -> Float[Array | HostArray, "..."]:
-        return self.function(state, self.of)
+        return self.function(state, *self.of)
 
 
 def _reaction(state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
     return state.ground_forces[np.array(nodes, int)].sum(axis=0)
 
 
-def _contact(state, of: tuple[str, int, tuple[float, ...] | None]):
-    what, obstacle, axis = of
+def _contact(state, what: str, obstacle: int, axis: tuple[float, ...] | None):
     value = getattr(state.contacts[obstacle], what)
     return value if axis is None else (value * np.array(axis)).sum()
 
 
-def _angle(state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
-    body, other, axis = of
+def _angle(state, body: int, other: int, axis: tuple[float, ...]) -> Float[Array, ""]:
     R = state.body_rotations
     return angle_about(R[body], R[other], np.array(axis))
 
 
-def _of_actuator(state, of: tuple[str, int]) -> Float[Array, ""]:
-    what, actuator = of
+def _of_actuator(state, what: str, actuator: int) -> Float[Array, ""]:
     return getattr(state, what)[actuator]
 
 
@@ -163,7 +160,7 @@ class SupportReaction(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
-        reading = _Reading(_reaction, tuple(nodes.tolist()))
+        reading = _Reading(_reaction, (tuple(nodes.tolist()),))
         return self._row("reaction", "N", function=reading)
 
 

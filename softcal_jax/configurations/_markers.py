@@ -202,9 +202,8 @@ def register(
         raise ValueError(
             f"registration needs at least {least} finite markers, got {len(measured)}."
         )
-    centre_m, centre_n = measured.mean(axis=0), nominal.mean(axis=0)
     R = _rotation_onto(measured, nominal) if rotation is None else np.asarray(rotation)
-    t = centre_n - R @ centre_m
+    t = nominal.mean(axis=0) - R @ measured.mean(axis=0)
     return Registration(R, t, measured @ R.T + t - nominal)
 
 

@@ -266,9 +266,6 @@ def body_state_arrays(
                 "absent; only an obstacle beside the robot can."
             )
         kind[k] = rigid.KINDS.index(state.kind)
-        for i, pose in enumerate((state.pose, state.start)):
-            places[2 * i, k], places[2 * i + 1, k] = (
-                pose.translation,
-                pose.rotation_vector,
-            )
+        poses = state.pose, state.start
+        places[:, k] = [v for p in poses for v in (p.translation, p.rotation_vector)]
     return rigid.BodyStateArrays(kind, *places)

@@ -70,8 +70,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
         times -= data["first_frame"] / rate
     except (LookupError, MemoryError, OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"recording {path} cannot be read: {error}.") from error
-    check_rate(path, rate)
-    metres = metres_of(path, _texts(point, "UNITS", 1)[0])
+    metres = checked_metres(path, rate, _texts(point, "UNITS", 1)[0])
     positions = metres * np.transpose(np.asarray(data["points"], float)[:3], (2, 1, 0))
     positions[np.asarray(data["residuals"])[0].T < 0.0] = np.nan
     positions[~positions.any(axis=2)] = np.nan
@@ -188,8 +187,7 @@ def read_recording(
         raise ValueError(
             f"{path} is not laid out as it begins ({error}): export {needed}."
         ) from error
-    check_rate(path, layout.rate)
-    metres = metres_of(path, layout.unit, length_unit)
+    metres = checked_metres(path, layout.rate, layout.unit, length_unit)
     point = decimal or csv_table.decimal_of((c for _, c in layout.rows), delimiter)
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
@@ -210,13 +208,12 @@ def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     return [(number, cells) for number, cells in rows if any(cells)], used
 
 
-def check_rate(path: Path, rate: float) -> None:
+def checked_metres(
+    path: Path, rate: float, stated: str | None, given: str | None = None
+) -> float:
+    """Check the rate of frames; return the unit of length, as stated or given [m]."""
     if not 0.0 < rate < math.inf:
         raise ValueError(f"{path}: its rate of frames is {rate:g}, not positive.")
-
-
-def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
-    """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
         check_known("length unit", METRES, given)
     unit = given if stated is None else stated
