@@ -60,6 +60,10 @@ class ActuatorArrays(Module):
         return {name: body for name, body in both if body >= 0}
 
     @property
+    def _rough(self) -> list[FrictionalCables]:
+        return [g for g in self.groups if isinstance(g, FrictionalCables)]
+
+    @property
     def symmetric(self) -> bool:
         """Whether all have a potential, which makes their tangent symmetric."""
         return all(group.conservative for group in self.groups)
@@ -77,16 +81,16 @@ class ActuatorArrays(Module):
                 f"{self.kinds[index].noun} {self.names[index]!r} has no friction that "
                 "could change; make it with a positive one and its pulled_from."
             )
-        values = lambda arrays: [group.friction for group in _rough(arrays)]
-        changed = [jnp.where(g.owner == index, mu, g.friction) for g in _rough(self)]
+        values = lambda arrays: [group.friction for group in arrays._rough]
+        changed = [jnp.where(g.owner == index, mu, g.friction) for g in self._rough]
         return eqx.tree_at(values, self, changed)
 
     def moving(self, releasing: Bool[Array | HostArray, " n_a"]) -> "ActuatorArrays":
         """Return them with friction opposing their motion, released or pulled."""
         if not any(self.has_friction):
             return self
-        senses = lambda arrays: [group.sense for group in _rough(arrays)]
-        released = [jnp.asarray(releasing)[group.owner] for group in _rough(self)]
+        senses = lambda arrays: [group.sense for group in arrays._rough]
+        released = [jnp.asarray(releasing)[group.owner] for group in self._rough]
         return eqx.tree_at(senses, self, [jnp.where(r, -1.0, 1.0) for r in released])
 
     def following(
@@ -149,10 +153,6 @@ class ActuatorArrays(Module):
     def clique_nodes(self) -> tuple[Int[HostArray, "_ _"], ...]:
         """List the nodes of the cliques with entries in the tangent, by group."""
         return tuple(np.asarray(group.nodes) for group in self.groups if group.curved)
-
-
-def _rough(arrays: ActuatorArrays) -> list[FrictionalCables]:
-    return [g for g in arrays.groups if isinstance(g, FrictionalCables)]
 
 
 def actuator_arrays(
