@@ -1,31 +1,15 @@
 """Changes of the readings that would undo a mistake."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from heapq import nlargest
 from itertools import combinations, product
-from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.configurations import EffectorArrays
-
-Kind = Literal[
-    "lost marker",
-    "swapped markers",
-    "swapped poses",
-    "wrong sign",
-    "turned frame",
-    "mirrored frame",
-    "wrong factor",
-    "longer clamp",
-    "wrong clamp",
-    "misplaced marker",
-]
-"""What people do."""
+from softcal_jax.mistakes._refit import Change, Readings
 
 FACTORS = {
     "m": (10.0, 25.4, 1000.0),
@@ -38,102 +22,6 @@ MOST_SWAPS = 100
 """Most exchanges that are tried: of markers everywhere, in one pose, and of poses."""
 
 ORIGIN = 1e-6  # distance from the origin within which a reading is (0, 0, 0) [m]
-
-
-class Stated(NamedTuple):
-    """How one pose would have been held and loaded.
-
-    Factors on gravity, on loads and on what is imposed on actuators [-], how far the
-    clamp reaches beyond what is held [m], and the face that is held instead, if any.
-    """
-
-    gravity: float = 1.0
-    loads: float = 1.0
-    actuation: float = 1.0
-    depth: float = 0.0
-    face: str = ""
-
-
-Variant = tuple[Stated, ...]
-"""One for each pose; none where all are as they were stated."""
-
-
-class Change(NamedTuple):
-    """What would be different without a mistake: readings, or what was stated.
-
-    Attributes:
-        kind: The mistake.
-        words: What would have to change.
-        rank: Position among mistakes that explain the data as well: the simplest first.
-        measured: Values of all rows.
-        turned: Factor on the right of the orientation from which each turn counts [-];
-            None where orientations stay.
-        free: Errors that are fitted along, one column each; None without.
-        scale: Factor on what was measured: what it leaves must be small beside it [-].
-        variant: How each pose would be held and loaded.
-        z: Where to simulate that first, scaled [-].
-        expected: Squares that it should leave, by superposition; nan if not known.
-    """
-
-    kind: Kind
-    words: str
-    rank: int
-    measured: Float[HostArray, "n_c n_rows 3"]
-    turned: Float[HostArray, "n_c n_turns 3 3"] | None = None
-    free: Float[HostArray, "n n_free"] | None = None
-    scale: float = 1.0
-    variant: Variant = ()
-    z: Float[HostArray, " n_p"] = np.zeros(0)
-    expected: float = np.nan
-
-    @property
-    def subject(self) -> tuple[str, ...]:
-        """What it is about: its kind, and what would be stated otherwise."""
-        fields = Stated._fields
-        differ = lambda field: any(
-            getattr(stated, field) != getattr(Stated(), field)
-            for stated in self.variant
-        )
-        return (self.kind, *filter(differ, fields))
-
-
-class Readings:
-    """What was measured in the fitted configurations, and what the fit made of it.
-
-    Attributes:
-        poses: Names of the configurations.
-        points: Records of the measured points of each, by name.
-        effectors: Arrays of the effectors, on the host.
-        measured: All measured values.
-        weight: 1 / standard deviations, 0 where nothing was measured.
-        simulated: Values at the end of the fit.
-        at_rest: Positions of the points on the undeformed robot; 0 for other rows [m].
-        of_points: Which coordinates of points were measured.
-        turn_rows: Rows of orientations.
-    """
-
-    def __init__(self, fits: Sequence[ConfigurationResult], effectors: EffectorArrays):
-        """Collect the readings of fitted configurations."""
-        self.effectors, self.poses = effectors, [fit.name for fit in fits]
-        self.points = [{e.name: e for e in f.points if e.seen.any()} for f in fits]
-        self.measured = np.asarray(effectors.measured)
-        self.weight = np.asarray(effectors.inverse_std)
-        self.at_rest, self.simulated = 0.0 * self.measured, 0.0 * self.measured
-        self.of_points = np.zeros(self.measured.shape, bool)
-        for c, fit in enumerate(fits):
-            for e in fit.effectors:
-                self.simulated[c, e.index, : len(e.std)] = e.simulated
-            for e in self.points[c].values():
-                self.at_rest[c, e.index] = e.at_rest
-                self.of_points[c, e.index] = self.weight[c, e.index] > 0.0
-        n_points, n_turns = effectors.nodes.shape[-2], effectors.turn_body.shape[-1]
-        self.turn_rows = slice(n_points, n_points + n_turns)
-
-    def in_words(self, poses: Sequence[int]) -> str:
-        """Write "all poses", "pose 2", or nothing where there is only one."""
-        if len(poses) == len(self.poses):
-            return " in all poses" if len(poses) > 1 else ""
-        return f" in {self.poses[poses[0]]}"
 
 
 def changes(readings: Readings) -> Iterator[Change]:
@@ -171,8 +59,8 @@ def _misplaced(readings: Readings) -> Iterator[Change]:
                 row = c, readings.points[c][name].index
                 free[row] = np.diag(readings.weight[row])
             words = f"Moving marker {name}{readings.in_words(among)}"
-            change = Change("misplaced marker", words, 4, readings.measured)
-            yield change._replace(free=free.reshape(-1, 3))
+            free = free.reshape(-1, 3)
+            yield Change("misplaced marker", words, 4, readings.measured, free=free)
 
 
 def _swapped_markers(readings: Readings) -> Iterator[Change]:
@@ -220,8 +108,8 @@ def _swapped_poses(readings: Readings) -> Iterator[Change]:
         order[[a, b]] = b, a
         words = f"Exchanging the readings of {poses[a]} and {poses[b]}"
         turned = reference @ np.swapaxes(reference[order], -1, -2)
-        change = Change("swapped poses", words, 3, measured[order])
-        yield change._replace(turned=turned) if turned.size else change
+        turned = turned if turned.size else None
+        yield Change("swapped poses", words, 3, measured[order], turned)
 
 
 def _frames() -> Iterator[tuple[str, Float[HostArray, "3 3"]]]:

@@ -1,4 +1,4 @@
-"""A linear fit to changed readings, about a simulation.
+"""Readings, changes of them, and linear fits to the changed ones about a simulation.
 
 The errors r + W dz are weighed as stated, offsets of recordings and attachments
 included, and dz stays within the bounds of the parameters: what a calibration to the
@@ -7,7 +7,7 @@ changed readings would do in its next step (Eq. 10).
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,15 +16,86 @@ from scipy.optimize import lsq_linear
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.bodies import rotation_matrix, rotation_vector
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.inference import RANK, span, whitened
-from softcal_jax.mistakes._readings import Change, Readings
-from softcal_jax.unknowns import CorrelatedNoise
+from softcal_jax.unknowns import Problem
 
 TRUST = 1.0  # largest step of lambda_p about a simulation: a factor e of a modulus [-]
 
 NEAR = 0.1
 """Step up to which a linear fit holds; its error is about half its square [-]."""
+
+
+Kind = Literal[
+    "lost marker",
+    "swapped markers",
+    "swapped poses",
+    "wrong sign",
+    "turned frame",
+    "mirrored frame",
+    "wrong factor",
+    "longer clamp",
+    "wrong clamp",
+    "misplaced marker",
+]
+"""What people do."""
+
+
+class Stated(NamedTuple):
+    """How one pose would have been held and loaded.
+
+    Factors on gravity, on loads and on what is imposed on actuators [-], how far the
+    clamp reaches beyond what is held [m], and the face that is held instead, if any.
+    """
+
+    gravity: float = 1.0
+    loads: float = 1.0
+    actuation: float = 1.0
+    depth: float = 0.0
+    face: str = ""
+
+
+Variant = tuple[Stated, ...]
+"""One for each pose; none where all are as they were stated."""
+
+
+class Change(NamedTuple):
+    """What would be different without a mistake: readings, or what was stated.
+
+    Attributes:
+        kind: The mistake.
+        words: What would have to change.
+        rank: Position among mistakes that explain the data as well: the simplest first.
+        measured: Values of all rows.
+        turned: Factor on the right of the orientation from which each turn counts [-];
+            None where orientations stay.
+        free: Errors that are fitted along, one column each; None without.
+        scale: Factor on what was measured: what it leaves must be small beside it [-].
+        variant: How each pose would be held and loaded.
+        z: Where to simulate that first, scaled [-].
+        expected: Squares that it should leave, by superposition; nan if not known.
+    """
+
+    kind: Kind
+    words: str
+    rank: int
+    measured: Float[HostArray, "n_c n_rows 3"]
+    turned: Float[HostArray, "n_c n_turns 3 3"] | None = None
+    free: Float[HostArray, "n n_free"] | None = None
+    scale: float = 1.0
+    variant: Variant = ()
+    z: Float[HostArray, " n_p"] = np.zeros(0)
+    expected: float = np.nan
+
+    @property
+    def subject(self) -> tuple[str, ...]:
+        """What it is about: its kind, and what would be stated otherwise."""
+        fields = Stated._fields
+        differ = lambda field: any(
+            getattr(stated, field) != getattr(Stated(), field)
+            for stated in self.variant
+        )
+        return (self.kind, *filter(differ, fields))
 
 
 @dataclass(eq=False)
@@ -68,23 +139,57 @@ class Refit(NamedTuple):
         return bool(np.max(np.abs(self.step), initial=0.0) <= NEAR)
 
 
-class Refitter:
-    """Fits changed readings about simulations."""
+class Readings:
+    """What was measured in the fitted configurations, and refits to it once changed.
+
+    Attributes:
+        space: The parameters.
+        poses: Names of the configurations.
+        points: Records of the measured points of each, by name.
+        effectors: Arrays of the effectors, on the host.
+        measured: All measured values.
+        weight: 1 / standard deviations, 0 where nothing was measured.
+        simulated: Values at the end of the fit.
+        at_rest: Positions of the points on the undeformed robot; 0 for other rows [m].
+        of_points: Which coordinates of points were measured.
+        turn_rows: Rows of orientations.
+    """
 
     def __init__(
         self,
-        space: ParameterSpace,
-        noise: CorrelatedNoise,
-        readings: Readings,
-        considered: Float[HostArray, "n_measured n_errors"],
+        result: CalibrationResult,
+        fits: Sequence[ConfigurationResult],
+        problem: Problem,
     ):
-        """Weigh errors as stated: by the noise of a fit, its jitter aside."""
-        self.space, self.readings, self._noise = space, readings, noise
-        columns = noise.on_host(readings.effectors) * float(np.asarray(noise.jitter))
+        """Collect them, and weigh errors by the noise of the fit, its jitter aside."""
+        assert result.noise is not None
+        effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
+        self.space, self._noise, self.effectors = result.space, result.noise, effectors
+        self.poses = problem.names
+        self.points = [{e.name: e for e in f.points if e.seen.any()} for f in fits]
+        self.measured, self.weight = effectors.measured, effectors.inverse_std
+        self.at_rest, self.simulated = 0.0 * self.measured, 0.0 * self.measured
+        self.of_points = np.zeros(self.measured.shape, bool)
+        for c, fit in enumerate(fits):
+            for e in fit.effectors:
+                self.simulated[c, e.index, : len(e.std)] = e.simulated
+            for e in self.points[c].values():
+                self.at_rest[c, e.index] = e.at_rest
+                self.of_points[c, e.index] = self.weight[c, e.index] > 0.0
+        n_points, n_turns = effectors.nodes.shape[-2], effectors.turn_body.shape[-1]
+        self.turn_rows = slice(n_points, n_points + n_turns)
+        columns = self._noise.on_host(effectors) * float(np.asarray(self._noise.jitter))
         self._columns = columns[:, np.any(columns != 0.0, axis=0)]
-        known = np.zeros((columns.shape[0], considered.shape[1]))
-        known[np.ravel(readings.weight > 0.0)] = considered
+        considered = result.linear.of_fit().considered.values
+        known = np.zeros((self.weight.size, considered.shape[1]))
+        known[np.ravel(self.weight > 0.0)] = considered
         self._all_stated = np.hstack([self._columns, known])
+
+    def in_words(self, poses: Sequence[int]) -> str:
+        """Write "all poses", "pose 2", or nothing where there is only one."""
+        if len(poses) == len(self.poses):
+            return " in all poses" if len(poses) > 1 else ""
+        return f" in {self.poses[poses[0]]}"
 
     def whiten(self, x: Float[HostArray, "n k"]) -> Float[HostArray, "n k"]:
         """Make the errors of all rows independent."""
@@ -96,19 +201,19 @@ class Refitter:
         off = off + W @ fit.step
         if fit.change.free is not None:
             along = (fit.change.free @ fit.along).reshape(off.shape)
-            off += along / np.where(self.readings.of_points, self.readings.weight, 1.0)
+            off += along / np.where(self.of_points, self.weight, 1.0)
         return off
 
     def level(self, fit: Refit) -> float:
         """Return the errors after a fit over those that were stated, all causes [-]."""
-        errors = np.ravel(self.readings.weight * self._off(fit))[:, None]
+        errors = np.ravel(self.weight * self._off(fit))[:, None]
         squares = np.sum(whitened(self._all_stated, errors) ** 2)
-        return float(np.sqrt(squares / np.sum(self.readings.weight > 0.0)))
+        return float(np.sqrt(squares / np.sum(self.weight > 0.0)))
 
     def rms(self, fit: Refit) -> float:
         """Return the root mean square distance of points after a fit [m]."""
-        seen = self.readings.of_points
-        effectors = self.readings.effectors
+        seen = self.of_points
+        effectors = self.effectors
         off = self._noise.without_attachments(effectors, self._off(fit))
         squares = np.sum(np.where(seen, off, 0.0) ** 2, axis=2)[np.any(seen, axis=2)]
         return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
@@ -126,7 +231,7 @@ class Refitter:
                 groups.setdefault((id(change.free), alone), []).append(change)
         if not groups:
             return
-        weight, n_p, z = self.readings.weight, len(about.z), jnp.asarray(about.z)
+        weight, n_p, z = self.weight, len(about.z), jnp.asarray(about.z)
         low, high = map(np.asarray, self.space.room(z))
         box = np.clip(low, -about.trust, 0.0), np.clip(high, 0.0, about.trust)
         off_prior = np.asarray(self.space.from_prior(z))[:, None]
@@ -151,12 +256,12 @@ class Refitter:
 
     def _linear(self, about: Simulated, change: Change) -> tuple[HostArray, HostArray]:
         """Return simulated minus changed values, 0 where not measured, and their W."""
-        off, W, rows = about.e - change.measured, about.W, self.readings.turn_rows
+        off, W, rows = about.e - change.measured, about.W, self.turn_rows
         if change.turned is not None:
             turned, J = _turned(off[:, rows], change.turned)
             off[:, rows], W = turned, W.copy()
             W[:, rows] = np.asarray(J) @ W[:, rows]
-        return np.where(self.readings.weight > 0.0, off, 0.0), W
+        return np.where(self.weight > 0.0, off, 0.0), W
 
 
 def _beside(columns: HostArray, x: HostArray) -> HostArray:

@@ -17,8 +17,15 @@ from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import CalibrationResult, build_problem
 from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
-from softcal_jax.mistakes._readings import Change, Kind, Readings, Variant, changes
-from softcal_jax.mistakes._refit import Refit, Refitter, Simulated
+from softcal_jax.mistakes._readings import changes
+from softcal_jax.mistakes._refit import (
+    Change,
+    Kind,
+    Readings,
+    Refit,
+    Simulated,
+    Variant,
+)
 from softcal_jax.mistakes._statements import Simulator, clamps, commands, forces
 
 CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
@@ -115,15 +122,12 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     # With what was held out, so that the programs of the fit serve again.
     problem = build_problem(result.model, result.space, poses, result.newton)
     problem = problem.of_first(len(fits))
-    on_host = jax.tree.map(np.asarray, problem.configurations.effectors)
-    readings = Readings(fits, on_host)
-    considered = result.linear.of_fit().considered.values
-    refitter = Refitter(result.space, result.noise, readings, considered)
+    readings = Readings(result, fits, problem)
     W = np.array([fit.W_ep for fit in fits])
     last = Simulated(np.asarray(result.z), readings.simulated, W)
     with Workers(result.model, len(fits)) as workers:
         simulator = Simulator(problem, workers, [fit.displacement for fit in fits])
-        search = _Search(result, refitter, simulator, last)
+        search = _Search(result, readings, simulator, last)
         search.run()
     return search.named()
 
@@ -138,26 +142,24 @@ class _Search:
     def __init__(
         self,
         result: CalibrationResult,
-        refitter: Refitter,
+        readings: Readings,
         simulator: Simulator,
         last: Simulated,
     ):
         """Begin with the readings and statements as they are, at the end of the fit."""
-        self.result, self.refitter, self.simulator = result, refitter, simulator
+        self.result, self.readings, self.simulator = result, readings, simulator
         self.dof = max(result.uncertainty.degrees_of_freedom, 1)
-        posed = [f.posed for f in result.configurations]
+        posed = (fit.posed for fit in result.configurations)
         self.stated = all(p is not None and p.states_noise for p in posed)
-        self.changes = [Change("swapped markers", "", 0, refitter.readings.measured)]
+        self.changes = [Change("swapped markers", "", 0, readings.measured)]
         self.simulated: dict[Variant, list[Simulated]] = {(): [last]}
         self.n_considered, self._limit = 0, np.inf
         self._refit()
-        self._limit = CLEARLY * self.as_is.squares
-        if result.uncertainty.noise == "stated":
-            self._limit = max(self._limit, float(chdtri(self.dof, UNLIKELY)))
+        self._limit = self._allowed(CLEARLY)
 
     def run(self) -> None:
         """Try all kinds of changes, until one explains the data well."""
-        self.changes += changes(self.refitter.readings)
+        self.changes += changes(self.readings)
         self.n_considered = len(self.changes) - 1
         self._refit()
         self._descend()
@@ -173,7 +175,7 @@ class _Search:
         for kind in (forces, commands, clamps):
             if self._enough():
                 return
-            stated, n_considered = kind(self.simulator, self.refitter, start)
+            stated, n_considered = kind(self.simulator, self.readings, start)
             self.n_considered += n_considered
             for change in stated:
                 if self._enough() and change.expected > ALIKE * stated[0].expected:
@@ -188,11 +190,16 @@ class _Search:
                     self._simulate(change.variant, fit.about.z + fit.step)
                 self._descend()
 
+    def _allowed(self, share: float) -> float:
+        """Return a share of the squares, or those that a stated noise may leave."""
+        squares = share * self.as_is.squares
+        if self.result.uncertainty.noise == "stated":
+            return max(squares, float(chdtri(self.dof, UNLIKELY)))
+        return squares
+
     def _enough(self) -> bool:
         """Whether a change explains the data so well that no more are tried."""
-        allowed = ENOUGH * self.as_is.squares
-        if self.result.uncertainty.noise == "stated":
-            allowed = max(allowed, float(chdtri(self.dof, UNLIKELY)))
+        allowed = self._allowed(ENOUGH)
         return any(f.squares <= allowed and self._explains(f) for f in self.fits)
 
     def _descend(self) -> None:
@@ -222,7 +229,7 @@ class _Search:
         for variant, simulated in self.simulated.items():
             of_variant = [c for c in changes if c.variant == variant]
             for about in simulated:
-                self.refitter.fit(about, of_variant, self._limit)
+                self.readings.fit(about, of_variant, self._limit)
         self.as_is, *self.fits = map(self._best, changes)
 
     def _best(self, change: Change) -> Refit:
@@ -250,10 +257,10 @@ class _Search:
             return False
         if fit.change.kind == "misplaced marker":
             distance = np.linalg.norm(fit.along)
-            if distance < MISPLACED * self.refitter.rms(fit):
+            if distance < MISPLACED * self.readings.rms(fit):
                 return False
-        at_noise = not self.stated or self.refitter.level(fit) <= AT_NOISE
-        return at_noise and not self.refitter.rms(fit) > self.refitter.rms(self.as_is)
+        at_noise = not self.stated or self.readings.level(fit) <= AT_NOISE
+        return at_noise and not self.readings.rms(fit) > self.readings.rms(self.as_is)
 
     def named(self) -> tuple[Mistake, ...]:
         """Return the changes that explain the data clearly better."""
@@ -265,14 +272,14 @@ class _Search:
         if len({fit.change.subject for fit in as_good}) > 1:
             return ()
         as_good.sort(key=lambda fit: (fit.change.rank, fit.squares))
-        n = np.sum(self.refitter.readings.weight > 0.0)
+        n = np.sum(self.readings.weight > 0.0)
         error = lambda fit: float(np.sqrt(fit.squares / n))
         return tuple(
             Mistake(
                 kind=fit.change.kind,
                 change=_words(fit),
-                rms_before=self.refitter.rms(self.as_is),
-                rms_after=self.refitter.rms(fit),
+                rms_before=self.readings.rms(self.as_is),
+                rms_after=self.readings.rms(fit),
                 errors_before=error(self.as_is),
                 errors_after=error(fit),
             )

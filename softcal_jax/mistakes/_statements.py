@@ -23,15 +23,8 @@ from softcal_jax.calibration import Evaluator
 from softcal_jax.configurations import ConfigurationArrays, ConfigurationLanes
 from softcal_jax.equilibrium import Workers
 from softcal_jax.mesh import box_faces, volumes
-from softcal_jax.mistakes._readings import (
-    FACTORS,
-    Change,
-    Readings,
-    Stated,
-    Variant,
-    scaling,
-)
-from softcal_jax.mistakes._refit import Refitter, Simulated
+from softcal_jax.mistakes._readings import FACTORS, scaling
+from softcal_jax.mistakes._refit import Change, Readings, Simulated, Stated, Variant
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import Problem
 
@@ -129,18 +122,18 @@ class Simulator:
 
 
 def forces(
-    simulator: Simulator, refitter: Refitter, start: Simulated
+    simulator: Simulator, readings: Readings, start: Simulated
 ) -> tuple[list[Change], int]:
     """Return the changes of forces that are worth a simulation, the best first.
 
     With the number of all that were considered; none where superposition fails.
     """
-    readings, space = refitter.readings, refitter.space
+    space = readings.space
     parts = _motions(simulator, readings, start)
     if parts is None:
         return [], 0
     weight = readings.weight * readings.of_points
-    in_noise = lambda motion: refitter.whiten(np.ravel(weight * motion)[:, None])[:, 0]
+    in_noise = lambda motion: readings.whiten(np.ravel(weight * motion)[:, None])[:, 0]
     measured = in_noise(readings.measured - readings.at_rest)
     by_force = {force: in_noise(part) for force, part in parts.items()}
     pose_of = np.ravel(np.indices(weight.shape)[0])
@@ -168,7 +161,7 @@ def forces(
 
 
 def commands(
-    simulator: Simulator, refitter: Refitter, start: Simulated
+    simulator: Simulator, readings: Readings, start: Simulated
 ) -> tuple[list[Change], int]:
     """Return factors on the actuation of all poses, which `forces` has counted.
 
@@ -177,7 +170,7 @@ def commands(
     """
     model, acts = simulator.problem.model, simulator.acts.get("actuation")
     value = np.abs(np.asarray(simulator.problem.configurations.actuation.value))
-    moduli = [float(q.start) for q in refitter.space.parameters if q.unit == "Pa"]
+    moduli = [float(q.start) for q in readings.space.parameters if q.unit == "Pa"]
     if acts is None or not moduli:
         return [], 0
     area = float(volumes(model.mesh).sum()) / model.mesh.size
@@ -185,7 +178,7 @@ def commands(
     areas = np.array([1.0 if kind.force_unit == "Pa" else area for kind in kinds])
     share = float(np.max(value / (max(moduli) * areas)))
     tried = []
-    for change in _other_forces(simulator, refitter.readings):
+    for change in _other_forces(simulator, readings):
         factors = {change.variant[c].actuation for c in np.flatnonzero(acts)}
         if change.kind == "wrong factor" and len(factors) == 1 and factors != {1.0}:
             if BEARABLE[0] <= share * max(factors) <= BEARABLE[1]:
@@ -275,10 +268,9 @@ def _other_face(simulator: Simulator, readings: Readings) -> Iterator[Change]:
 
 
 def clamps(
-    simulator: Simulator, refitter: Refitter, start: Simulated
+    simulator: Simulator, readings: Readings, start: Simulated
 ) -> tuple[list[Change], int]:
     """Return clamps of another face, or up to a marker that did not move."""
-    readings = refitter.readings
     moved, noise, depth = dict[str, float](), dict[str, float](), dict[str, float]()
     for c, of_pose in enumerate(readings.points):
         held = simulator.held(c)
