@@ -1,6 +1,6 @@
 """Control points, and fields with one unknown at each (paper Sec. IV.A)."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -21,21 +21,12 @@ from softcal_jax.fields._parameters import (
     Names,
     Parameter,
     Values,
+    as_number,
     once,
     region_tets,
     set_field,
 )
 from softcal_jax.mesh import TetMesh
-
-Places = (
-    Float[ArrayLike, "n_cp 3"]
-    | Sequence[Sequence[float] | HostArray]
-    | Mapping[str, Sequence[float] | HostArray]
-)
-
-
-def _as_array(positions: Places) -> Float[Array, "n_cp 3"]:
-    return jnp.asarray(positions)  # stacked before, in `__post_init__`
 
 
 class ControlPoints(Module):
@@ -58,7 +49,7 @@ class ControlPoints(Module):
             repeat, or an option is out of its range.
     """
 
-    positions: Float[Array, "n_cp 3"] = eqx.field(converter=_as_array)
+    positions: Float[Array, "n_cp 3"] = eqx.field(converter=as_number)
     names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
     power: float = eqx.field(static=True, default=2.0, converter=float)
     nearest: int | None = eqx.field(static=True, default=None)
@@ -144,12 +135,8 @@ Interpolation = Literal["linear", "log", "director"]
 _LOST = 1e-20  # square of rho below which there is no direction [-]
 
 
-def _numbers(value: Float[ArrayLike, "..."] | Sequence[float]) -> Float[Array, "..."]:
-    return jnp.asarray(value, float)
-
-
 def _known(fixed: Mapping[str, Float[ArrayLike, ""]] | None) -> dict[str, Array]:
-    return {name: _numbers(value) for name, value in (fixed or {}).items()}
+    return {name: as_number(value) for name, value in (fixed or {}).items()}
 
 
 def _pairs(tied: Names | Iterable[Pair] | None) -> tuple[Pair, ...]:
@@ -196,9 +183,9 @@ class ControlPointParameters(AbstractFieldEntry):
 
     field: str = eqx.field(static=True)
     control_points: ControlPoints
-    start: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
-    lower: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
-    upper: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
+    start: Float[Array, " n_cp"] = eqx.field(converter=as_number)
+    lower: Float[Array, " n_cp"] = eqx.field(converter=as_number)
+    upper: Float[Array, " n_cp"] = eqx.field(converter=as_number)
     interpolation: Interpolation = eqx.field(static=True, default="linear")
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
     tied: tuple[Pair, ...] = eqx.field(static=True, default=None, converter=_pairs)
@@ -258,7 +245,8 @@ class ControlPointParameters(AbstractFieldEntry):
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
         names, known = self.control_points.names, {*self.fixed, *dict(self.tied)}
-        each = map(_each, (self.start, self.lower, self.upper))
+        limits = self.start, self.lower, self.upper
+        each = (list(v) if is_traced(v) else unstacked(v) for v in limits)
         values = zip(*each, self.periodic, strict=True)
         unknowns = []
         for point, (*limits, periodic) in zip(names, values, strict=True):
@@ -369,10 +357,6 @@ class ControlPointParameters(AbstractFieldEntry):
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},
         )
-
-
-def _each(values: Float[Array, " n"]) -> list[Array]:
-    return list(values) if is_traced(values) else unstacked(values)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -152,24 +152,30 @@ class Likeness(Module):
         return gap / self.std, self.A / self.std[:, None]
 
 
-def region_terms(entries: Entries, region: Region) -> list[tuple[Term, ...]]:
-    """Collect the terms of the fields of a region, for each control point."""
-    sides = [_sides(entries, field, "regions") for field in region.fields]
-    for other in sides:
-        if list(other) != list(sides[0]):
-            raise ValueError(
-                f"regions: {' and '.join(region.fields)} need the same control points."
-            )
-    for entry in entries:
-        if {*entry.fields} & {*region.fields} and (
-            entry.parameters[0].scale != "log"
-            or getattr(entry, "interpolation", "log") != "log"
-        ):
-            raise ValueError(
-                f'regions: {entry.label} needs scale="log" and interpolation="log", so '
-                f"that no tet leaves the values that {region.name} has."
-            )
-    return list(zip(*(side.values() for side in sides), strict=True))
+def region_terms(
+    entries: Entries, regions: tuple[Region, ...]
+) -> list[tuple[Region, tuple[Term, ...]]]:
+    """Collect the terms of the fields of each region, for each control point."""
+    terms = []
+    for region in regions:
+        sides = [_sides(entries, field, "regions") for field in region.fields]
+        for other in sides:
+            if list(other) != list(sides[0]):
+                fields = " and ".join(region.fields)
+                raise ValueError(f"regions: {fields} need the same control points.")
+        for entry in entries:
+            if {*entry.fields} & {*region.fields} and (
+                entry.parameters[0].scale != "log"
+                or getattr(entry, "interpolation", "log") != "log"
+            ):
+                raise ValueError(
+                    f'regions: {entry.label} needs scale="log" and '
+                    'interpolation="log", so that no tet leaves the values that '
+                    f"{region.name} has."
+                )
+        points = zip(*(side.values() for side in sides), strict=True)
+        terms += [(region, of_point) for of_point in points]
+    return terms
 
 
 def axis_columns(entries: Entries, axes: Groups) -> Int[HostArray, "n_axes 3"]:

@@ -107,8 +107,7 @@ class ParameterSpace(Module):
         order_terms(self.entries, self.order)
         axis_columns(self.entries, self.axes)
         fading_axes(self.entries, self.axes)
-        for region in self.regions:
-            region_terms(self.entries, region)
+        region_terms(self.entries, self.regions)
         if self.regions and self.axes and self.tensor_steps:
             raise ValueError("regions need tensor_steps=False: rows are of moduli.")
 
@@ -167,7 +166,7 @@ class ParameterSpace(Module):
         xp = numpy_of(periodic, otherwise)
         return jax.device_put(xp.where(flags, periodic, otherwise))
 
-    def room(self, z: Scaled) -> tuple[Scaled, Scaled]:
+    def room(self, z: Float[Array | HostArray, " n_p"]) -> tuple[Scaled, Scaled]:
         """Return the largest steps down and up within bounds; infinite if periodic."""
         low, high = self.lower(), self.upper()
         low, high, z = map(numpy_of(low, z).asarray, (low, high, z))
@@ -176,10 +175,8 @@ class ParameterSpace(Module):
 
     def at_bound(self, z: Float[Array | HostArray, " n_p"]) -> Bool[HostArray, " n_p"]:
         """Tell which parameters are on a bound, up to rounding."""
-        # On the host: `room` would compile, at the end of a fit.
-        z, low, high = map(np.asarray, (z, self.lower(), self.upper()))
-        on_bound = (low - z >= -1e-9) | (high - z <= 1e-9)
-        return on_bound & ~np.array([q.periodic for q in self.parameters])
+        down, up = map(np.asarray, self.room(np.asarray(z)))  # compiles nothing
+        return (down >= -1e-9) | (up <= 1e-9)
 
     def max_step(self) -> Scaled:
         """Return the step limits of the parameters, infinite by default."""
@@ -253,9 +250,8 @@ class ParameterSpace(Module):
         if self.chart is not None:
             z = self.chart.clip(z, self.lower(), self.upper())
         z = jnp.clip(z, self.lower(), self.upper())
-        for region in self.regions:
-            for terms in region_terms(self.entries, region):
-                z = _drawn_in(region, terms, z)
+        for region, terms in region_terms(self.entries, self.regions):
+            z = _drawn_in(region, terms, z)
         return z
 
     @property
@@ -301,14 +297,13 @@ class ParameterSpace(Module):
         if not self.regions:
             return self.order_rows()
         parts = [self.order_rows()]
-        for region in self.regions:
-            for terms in region_terms(self.entries, region):
-                A = jnp.zeros((len(region.b), len(self.parameters)))
-                known = jnp.stack([term.constant for term in terms])
-                for k, term in enumerate(terms):
-                    if term.column is not None:
-                        A = A.at[:, term.column].add(region.A[:, k])
-                parts.append((A, region.b - region.A @ known))
+        for region, terms in region_terms(self.entries, self.regions):
+            A = jnp.zeros((len(region.b), len(self.parameters)))
+            known = jnp.stack([term.constant for term in terms])
+            for k, term in enumerate(terms):
+                if term.column is not None:
+                    A = A.at[:, term.column].add(region.A[:, k])
+            parts.append((A, region.b - region.A @ known))
         A, b = zip(*parts, strict=True)
         return jnp.concatenate(A), jnp.concatenate(b)
 
@@ -319,10 +314,9 @@ class ParameterSpace(Module):
     def row_names(self) -> list[str]:
         """Say what each of the `rows` keeps, in words."""
         names = [f"{small} <= {large}" for small, large in self.order_names()]
-        for region in self.regions:
-            for terms in region_terms(self.entries, region):
-                values = " and ".join(term.name for term in terms)
-                names += [f"what {region.name} reaches of {values}"] * len(region.b)
+        for region, terms in region_terms(self.entries, self.regions):
+            values = " and ".join(term.name for term in terms)
+            names += [f"what {region.name} reaches of {values}"] * len(region.b)
         return names
 
     def apply(

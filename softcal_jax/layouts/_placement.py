@@ -28,7 +28,7 @@ from softcal_jax.equilibrium import (
     equilibria,
     linearise,
 )
-from softcal_jax.fields import ControlPoints, find_field
+from softcal_jax.fields import ControlPoints, find_field, region_tets
 from softcal_jax.mesh import TetMesh, volumes
 from softcal_jax.sensitivity import adjoint_of_tets
 
@@ -120,27 +120,21 @@ def place_control_points(
         G = tet_sensitivities(model, configurations, tuple(sizes), newton=newton)
         blocks = np.stack([size * G[f][:, tets] for f, size in sizes.items()], axis=2)
         chosen = _well_seen(along, n, np.abs(volumes(mesh)[tets]), blocks)
-    return ControlPoints(_centroids(mesh, tets[chosen]), axes=axes)
-
-
-def _centroids(mesh: TetMesh, tets: Int[HostArray, " n"]) -> Float[HostArray, "n 3"]:
-    return mesh.points[mesh.tets[tets, :4]].mean(axis=1)
+    return ControlPoints(mesh.centroids[tets[chosen]], axes=axes)
 
 
 def _places(
     mesh: TetMesh, region: str | None, axes: str, n: int
 ) -> tuple[Int[HostArray, " n"], Places]:
     """Return the tets of the region from the middle outwards, and their places."""
-    tets = np.arange(mesh.n_tets)
-    if region is not None:
-        tets = np.unique(np.asarray(mesh.tets_of(region)))
+    tets = np.unique(region_tets(mesh, region))
     if n > len(tets):
         where = "the mesh has" if region is None else f"{region!r} has"
         raise ValueError(
             f"{n} control points were asked for, but {where} only {len(tets)} tets: a "
             "control point needs one of its own."
         )
-    x = _centroids(mesh, tets)
+    x = mesh.centroids[tets]
     middle = np.average(x, axis=0, weights=np.abs(volumes(mesh)[tets]))
     away = np.linalg.norm(x - middle, axis=1)
     # Rounded, so that places that are alike by symmetry tie.

@@ -12,7 +12,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -140,7 +139,7 @@ def forces(
     # Stiffness is in proportion to what is on a log scale, within its bounds.
     logarithmic = [q.scale == "log" for q in space.parameters]
     moduli = np.array(space.sets_fields) & np.array(logarithmic)
-    down, up = (np.abs(room)[moduli] for room in space.room(jnp.asarray(start.z)))
+    down, up = (np.abs(room)[moduli] for room in space.room(start.z))
     shares = np.exp(-np.min(up, initial=np.inf)), np.exp(np.min(down, initial=np.inf))
     shares = shares if moduli.any() else (1.0, 1.0)
 

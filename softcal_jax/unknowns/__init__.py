@@ -1,9 +1,5 @@
 """A calibration as a problem: its arrays, its noise, and all its unknowns."""
 
-from softcal_jax.unknowns._considered import (
-    compile_considered as compile_considered,
-    considered_errors as considered_errors,
-)
 from softcal_jax.unknowns._noise import (
     RECORDINGS as RECORDINGS,
     AnyArray as AnyArray,
@@ -23,6 +19,8 @@ from softcal_jax.unknowns._unknowns import (
     FIRST_SHARE as FIRST_SHARE,
     MESH as MESH,
     Unknown as Unknown,
+    compile_considered as compile_considered,
+    considered_errors as considered_errors,
     correlated_noise as correlated_noise,
     held_nodes as held_nodes,
     unknowns as unknowns,

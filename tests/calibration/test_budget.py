@@ -35,8 +35,7 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
 from softcal_jax.unknowns import noise_columns, unknowns
-from softcal_jax.unknowns._considered import where_shared
-from softcal_jax.unknowns._unknowns import Unknown
+from softcal_jax.unknowns._unknowns import Unknown, where_shared
 
 calibrate = partial(calibrate_with, intervals=None)
 
