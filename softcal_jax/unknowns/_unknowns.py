@@ -1,4 +1,4 @@
-"""Every unknown of a calibration, once: fitted, considered, or part of the noise.
+"""What is not known exactly and not fitted, once: considered, or part of the noise.
 
 A considered error is held at its nominal value: fitted values move with it, and their
 standard errors say by how much. An error that is part of the noise is marginalised: it
@@ -8,7 +8,7 @@ marginalise what differs from one recording to the next, so that poses that disa
 it do not pull at the values.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -60,24 +60,21 @@ from softcal_jax.unknowns._problem import Problem
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_row`."""
 
-Role = Literal["fitted", "considered", "noise"]
-
 FIRST_SHARE = 0.02
 """Share of the motion to begin with, where it is to be estimated [-]."""
 
 
 class Unknown(NamedTuple):
-    """Something that is not known exactly.
+    """Something that is not known exactly, and not fitted.
 
     Attributes:
         cause: What it is called in the budget.
         name: Its name among those of the same cause.
         entry: What it sets, if that is an array of the model or of a configuration.
-        prior: Its standard deviation, in SI units or relative; nan where it is fitted,
-            as each of its parameters has a prior of its own.
-        role: Whether it is fitted, considered or part of the noise.
+        prior: Its standard deviation, in SI units or relative.
+        role: Whether it is considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
-            common; None where the error cannot occur, or has another role.
+            common; None where the error cannot occur, or a parameter stands for it.
         row: Makes the row of one unit of it if no entry sets it, see `clamp_row`: from
             the linearised equilibrium and what `data` returns for the configuration.
     """
@@ -86,7 +83,7 @@ class Unknown(NamedTuple):
     name: str
     entry: AbstractEntry | None
     prior: float
-    role: Role
+    role: Literal["considered", "noise"]
     scope: Scope
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
@@ -114,22 +111,15 @@ class Unknown(NamedTuple):
 
 
 def unknowns(problem: Problem) -> tuple[Unknown, ...]:
-    """List all unknowns of a calibration.
+    """List all unknowns of a calibration that are not fitted.
 
     They include errors that cannot occur in any configuration, with no key in their
     scope: which entries are computed is part of a compiled program, so that one serves
     all poses.
     """
-    on_host = jax.tree.map(np.asarray, problem.configurations)
-    recordings = recording_names(problem.poses)
-    scopes = {
-        name: kind.occurs(problem.model, on_host, recordings)
-        for name, kind in KINDS.items()
-    }
     return (
-        *_fitted(problem, scopes),
         *_of_fields(problem),
-        *_of_setup(problem, scopes),
+        *_of_setup(problem),
         _of_clamps(problem),
         _of_mesh(problem),
         *_of_creep(problem),
@@ -137,27 +127,15 @@ def unknowns(problem: Problem) -> tuple[Unknown, ...]:
     )
 
 
-Scopes = Mapping[str, Mapping[str, Scope]]
-"""Where errors can occur, by their kind in `KINDS` and by what they belong to."""
-
-
-def _fitted(problem: Problem, scopes: Scopes) -> Iterator[Unknown]:
-    """List what is fitted, and where it occurs."""
-    everywhere: Scope = ("",) * len(problem.poses)
-    for entry in problem.space.entries:
-        scope = everywhere
-        if isinstance(entry, SetupParameter):
-            scope = scopes[entry.kind].get(entry.of, everywhere)
-        yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
-
-
-def _of_setup(problem: Problem, scopes: Scopes) -> Iterator[Unknown]:
+def _of_setup(problem: Problem) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
+    on_host = jax.tree.map(np.asarray, problem.configurations)
+    recordings = recording_names(problem.poses)
     for name, kind in KINDS.items():
         cause, role = kind.uncertain, "noise" if kind.is_noise else "considered"
         stated = vars(problem.uncertain).get(cause, 0.0)
         std = kind.std if stated == "estimated" else stated
-        for of, scope in scopes[name].items():
+        for of, scope in kind.occurs(problem.model, on_host, recordings).items():
             for axis in kind.components or ("",):
                 label = " ".join(word for word in (name, of, axis) if word)
                 entry = SetupError(label, std, name, of, axis)
@@ -299,12 +277,10 @@ def correlated_noise(problem: Problem) -> CorrelatedNoise:
     """
     effectors, records = problem.configurations.effectors, problem.records
     names = recording_names(problem.poses)
-    by_cause: dict[str, list[Unknown]] = {RECORDINGS: [], CREEP: [], ATTACHMENTS: []}
-    for unknown in unknowns(problem):
-        if unknown.role == "noise":
-            by_cause[unknown.cause].append(unknown)
-    offset = [unknown.in_each() for unknown in by_cause[RECORDINGS]]
-    shares = np.sum([np.zeros(len(names)), *(u.in_each() for u in by_cause[CREEP])], 0)
+    of_noise = [unknown for unknown in unknowns(problem) if unknown.role == "noise"]
+    of = lambda cause: [unknown for unknown in of_noise if unknown.cause == cause]
+    offset = [unknown.in_each() for unknown in of(RECORDINGS)]
+    share = np.sum([unknown.in_each() for unknown in of(CREEP)], axis=0)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(problem.poses, records, n_rows)
@@ -318,11 +294,11 @@ def correlated_noise(problem: Problem) -> CorrelatedNoise:
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(np.transpose(offset), dtype),
         motion=motion,
-        share=np.asarray(shares, dtype),
+        share=np.asarray(share, dtype),
         jitter=np.ones((), dtype),
         attachment=attached.of_row,
         attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.array([u.prior for u in by_cause[ATTACHMENTS]], dtype),
+        attachment_std=np.array([u.prior for u in of(ATTACHMENTS)], dtype),
     )
     return jax.device_put(noise)
 
