@@ -34,6 +34,7 @@ from softcal_jax.fields._setup import (
 )
 from softcal_jax.fields._space import (
     Entry as Entry,
+    Parameters as Parameters,
     ParameterSpace as ParameterSpace,
     Pin as Pin,
     as_space as as_space,
@@ -41,7 +42,6 @@ from softcal_jax.fields._space import (
 )
 from softcal_jax.fields._start import (
     PRECISION as PRECISION,
-    SEVERAL as SEVERAL,
     WEAK_UP_TO as WEAK_UP_TO,
     asked_errors as asked_errors,
     check_parameters as check_parameters,

@@ -21,7 +21,7 @@ from softcal_jax.fields._parameters import (
     Names,
     Parameter,
     Values,
-    as_number,
+    as_values,
     once,
     region_tets,
     set_field,
@@ -49,7 +49,7 @@ class ControlPoints(Module):
             repeat, or an option is out of its range.
     """
 
-    positions: Float[Array, "n_cp 3"] = eqx.field(converter=as_number)
+    positions: Float[Array, "n_cp 3"] = eqx.field(converter=as_values)
     names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
     power: float = eqx.field(static=True, default=2.0, converter=float)
     nearest: int | None = eqx.field(static=True, default=None)
@@ -136,7 +136,7 @@ _LOST = 1e-20  # square of rho below which there is no direction [-]
 
 
 def _known(fixed: Mapping[str, Float[ArrayLike, ""]] | None) -> dict[str, Array]:
-    return {name: as_number(value) for name, value in (fixed or {}).items()}
+    return {name: as_values(value) for name, value in (fixed or {}).items()}
 
 
 def _pairs(tied: Names | Iterable[Pair] | None) -> tuple[Pair, ...]:
@@ -183,9 +183,9 @@ class ControlPointParameters(AbstractFieldEntry):
 
     field: str = eqx.field(static=True)
     control_points: ControlPoints
-    start: Float[Array, " n_cp"] = eqx.field(converter=as_number)
-    lower: Float[Array, " n_cp"] = eqx.field(converter=as_number)
-    upper: Float[Array, " n_cp"] = eqx.field(converter=as_number)
+    start: Float[Array, " n_cp"] = eqx.field(converter=as_values)
+    lower: Float[Array, " n_cp"] = eqx.field(converter=as_values)
+    upper: Float[Array, " n_cp"] = eqx.field(converter=as_values)
     interpolation: Interpolation = eqx.field(static=True, default="linear")
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
     tied: tuple[Pair, ...] = eqx.field(static=True, default=None, converter=_pairs)

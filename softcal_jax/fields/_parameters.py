@@ -185,7 +185,7 @@ class AbstractEntry(Module):
         return replace(self, name=names[self.label])
 
 
-def as_number(value: Any) -> Any:
+def as_values(value: Any) -> Any:
     if value is None:
         return None
     if isinstance(value, jax.Array):
@@ -216,11 +216,11 @@ class AbstractFieldEntry(AbstractEntry):
     scale: Literal["log", "linear"] = eqx.field(
         static=True, default="log", kw_only=True
     )
-    S: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
+    S: Real | None = eqx.field(default=None, converter=as_values, kw_only=True)
     region: str | None = eqx.field(static=True, default=None, kw_only=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
-    max_step: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
-    prior_std: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
+    max_step: Real | None = eqx.field(default=None, converter=as_values, kw_only=True)
+    prior_std: Real | None = eqx.field(default=None, converter=as_values, kw_only=True)
 
     @property
     def tet_group(self) -> str | None:
@@ -250,9 +250,9 @@ class Parameter(AbstractFieldEntry):
 
     name: str = eqx.field(static=True)
     field: str = eqx.field(static=True)
-    start: Float[Array, ""] = eqx.field(converter=as_number)
-    lower: Float[Array, ""] = eqx.field(converter=as_number)
-    upper: Float[Array, ""] = eqx.field(converter=as_number)
+    start: Float[Array, ""] = eqx.field(converter=as_values)
+    lower: Float[Array, ""] = eqx.field(converter=as_values)
+    upper: Float[Array, ""] = eqx.field(converter=as_values)
     periodic: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
@@ -332,7 +332,7 @@ class AbstractError(AbstractEntry):
     """
 
     name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=as_number)
+    std: Float[Array, ""] = eqx.field(converter=as_values)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -382,7 +382,10 @@ def _drawn_in(region: Region, terms: tuple[Term, ...], z: Scaled) -> Scaled:
     return z.at[where].set(region.centre + share * (z[where] - region.centre))
 
 
-def as_space(parameters: ParameterSpace | Entry | Sequence[Entry]) -> ParameterSpace:
+Parameters = ParameterSpace | Entry | Sequence[Entry]
+
+
+def as_space(parameters: Parameters) -> ParameterSpace:
     """Make a parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters

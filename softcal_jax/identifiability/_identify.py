@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import Evaluator, as_sequence, linear_model
@@ -25,7 +25,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import (
     PRECISION,
-    Entry,
+    Parameters,
     ParameterSpace,
     Uncertain,
     as_space,
@@ -46,6 +46,7 @@ from softcal_jax.identifiability._result import (
 )
 from softcal_jax.inference import ANY_ANGLE, LinearModel, error_budget, independent
 from softcal_jax.unknowns import (
+    AnyArray,
     Problem,
     check_references,
     compile_considered,
@@ -53,14 +54,11 @@ from softcal_jax.unknowns import (
     correlated_noise,
 )
 
-Parameters = ParameterSpace | Entry | Sequence[Entry]
-AnyVector = Array | HostArray
-
 
 def identifiability(
     linear: LinearModel,
     space: ParameterSpace,
-    z: Float[AnyVector, " n_p"],
+    z: Float[AnyArray, " n_p"],
     *,
     model: Model | None = None,
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
@@ -117,7 +115,7 @@ def identifiability(
 
 def _outlooks(
     space: ParameterSpace,
-    z: Float[AnyVector, " n_p"],
+    z: Float[AnyArray, " n_p"],
     asked: Float[HostArray, " n_p"],
     *,
     spread: Spread,
@@ -156,7 +154,7 @@ def identify(
     parameters: Parameters,
     configurations: Configuration | Sequence[Configuration],
     *,
-    at: Float[AnyVector, " n_p"] | None = None,
+    at: Float[AnyArray, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
@@ -185,74 +183,58 @@ def identify(
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
     check_precision(precision)
-    seen = survey(
-        model,
-        parameters,
-        as_sequence(configurations),
-        at=at,
-        noise=noise,
-        newton=newton,
-        uncertain=uncertain,
-        progress=progress,
-    )
-    at_z = seen.linear, seen.space, seen.z
+    space, posed = as_space(parameters), as_sequence(configurations)
+    z, uncertain = scaled_values(space, at), uncertain or Uncertain()
+    if posed:
+        problem = planned(model, space, posed, noise, newton, uncertain)
+        seen = survey(problem, z, len(posed), progress)
+    else:
+        check_parameters(model, space)
+        n_p = len(space.names)
+        linear = independent(np.zeros((0, n_p)), tuple(space.names))
+        seen = Survey(linear, linear.W, np.zeros((n_p, n_p)), ())
     report = identifiability(
-        *at_z, model=model, W_ep=seen.W_ep, W_pp=seen.W_pp, precision=precision
+        seen.linear,
+        space,
+        z,
+        model=model,
+        W_ep=seen.W_ep,
+        W_pp=seen.W_pp,
+        precision=precision,
     )
     budget = error_budget(
-        *at_z, noise_is_known=True, uncertain=uncertain or Uncertain()
+        seen.linear, space, z, noise_is_known=True, uncertain=uncertain
     )
     return replace(report, budget=budget)
 
 
-class Survey(Module):
-    """Compliances of configurations at scaled values z of the parameters [-].
-
-    Attributes:
-        space: The parameters.
-        z: Their scaled values [-].
-        linear: Rows of what would be measured, without errors.
-        W_ep: Compliances of these rows, in their units, per unit of lambda_p.
-        W_pp: Sum over the configurations [J].
-        failures: Why a configuration has no equilibrium; empty if it has one.
-    """
-
-    space: ParameterSpace
-    z: Float[Array, " n_p"]
-    linear: LinearModel
-    W_ep: Float[HostArray, "n_e n_p"]
-    W_pp: Float[HostArray, "n_p n_p"]
-    failures: tuple[str, ...]
+def scaled_values(
+    space: ParameterSpace, at: Float[AnyArray, " n_p"] | None
+) -> Float[Array, " n_p"]:
+    """Return the scaled values to linearise at, by default those of the start [-]."""
+    z = space.start() if at is None else jnp.asarray(at, float)
+    n_p = len(space.names)
+    if z.shape != (n_p,) or not bool(jnp.all(jnp.isfinite(z))):
+        raise ValueError(
+            f"`at` must be {n_p} finite scaled values, one per parameter "
+            f"({', '.join(space.names)}), got {np.asarray(z)}; "
+            "`space.to_scaled` makes them of SI values."
+        )
+    return z
 
 
-def survey(
+def planned(
     model: Model,
-    parameters: Parameters,
-    configurations: Sequence[Configuration],
-    *,
-    at: Float[AnyVector, " n_p"] | None = None,
-    noise: float | None = None,
-    newton: NewtonSettings | None = None,
-    uncertain: Uncertain | None = None,
-    required: int | None = None,
-    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
-) -> Survey:
-    """Solve configurations at one value of the parameters and differentiate them.
-
-    Arguments and errors are those of `identify`. The first `required` configurations,
-    by default all, must have an equilibrium.
-    """
+    space: ParameterSpace,
+    configurations: tuple[Configuration, ...],
+    noise: float | None,
+    newton: NewtonSettings | None,
+    uncertain: Uncertain,
+) -> Problem:
+    """Stack configurations that may not be measured yet; arguments as in `identify`."""
     check_process()
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise must be positive and finite [m], got {noise:g}.")
-    space = as_space(parameters)
-    z = _scaled_values(space, at)
-    names = tuple(c.name for c in configurations)
-    if not configurations:
-        check_parameters(model, space)
-        n_p = len(space.names)
-        linear = independent(np.zeros((0, n_p)), tuple(space.names))
-        return Survey(space, z, linear, linear.W, np.zeros((n_p, n_p)), ())
     mesh, mechanism = model.mesh, model.mechanism
     # A configuration without effectors is no error: the verdict says it sees nothing.
     posed = [
@@ -261,26 +243,47 @@ def survey(
     ]
     lanes = configuration_lanes(mesh, posed, mechanism)
     check_references(configurations, lanes.effectors)
-    weight = np.asarray(lanes.arrays.effectors.inverse_std)
     if noise is not None:
-        is_point = np.arange(weight.shape[1]) < lanes.arrays.effectors.nodes.shape[-2]
-        points = is_point[:, None] & (weight > 0.0)
-        weight = np.where(points, 1.0 / noise, weight)
+        weight = np.array(lanes.arrays.effectors.inverse_std)
+        points = weight[:, : lanes.arrays.effectors.nodes.shape[-2]]
+        points[points > 0.0] = 1.0 / noise
         weights = lambda arrays: arrays.effectors.inverse_std
         weighed = eqx.tree_at(weights, lanes.arrays, jax.device_put(weight))
         lanes = lanes._replace(arrays=weighed)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
-    newton, uncertain = newton or NewtonSettings(), uncertain or Uncertain()
-    problem = Problem(
-        model,
-        space,
-        lanes,
-        poses=configurations,
-        uncertain=uncertain,
-        newton=newton,
-    )
-    required = len(names) if required is None else required
-    with Workers(model, len(names)) as workers:
+    newton = newton or NewtonSettings()
+    about = {"poses": configurations, "uncertain": uncertain, "newton": newton}
+    return Problem(model, space, lanes, **about)
+
+
+class Survey(NamedTuple):
+    """What the configurations of a problem would tell, at one value of the parameters.
+
+    Attributes:
+        linear: Rows of what would be measured, without errors.
+        W_ep: Compliances of these rows, in their units, per unit of lambda_p.
+        W_pp: Sum over the configurations [J].
+        failures: Why a configuration has no equilibrium; empty if it has one.
+    """
+
+    linear: LinearModel
+    W_ep: Float[HostArray, "n_e n_p"]
+    W_pp: Float[HostArray, "n_p n_p"]
+    failures: tuple[str, ...]
+
+
+def survey(
+    problem: Problem,
+    z: Float[Array, " n_p"],
+    required: int,
+    progress: Callable[[EquilibriumProgress], None],
+) -> Survey:
+    """Solve the configurations of a problem at scaled values, and differentiate them.
+
+    The first `required` ones must have an equilibrium.
+    """
+    names, records = problem.names, problem.records
+    with Workers(problem.model, len(names)) as workers:
         compile_considered(workers, problem, z)
         evaluator = Evaluator(problem, workers)
         solution = evaluator.equilibria(z, reports_of(progress, names))
@@ -296,7 +299,7 @@ def survey(
             without_forces=evaluator.without_forces(z, solution),
         )
     if required:
-        check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
+        check_numbers(names[:required], records, moved, compliance.W_ep)
     regular = np.asarray(compliance.ok)
     failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
     for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
@@ -305,12 +308,13 @@ def survey(
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
     # Nothing is measured yet: the motion is that of the model.
-    records = tuple(
+    read = tuple(
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
-        for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
+        for of_pose, rows in zip(records, np.nan_to_num(moved), strict=True)
     )
-    moving = replace(problem, lanes=lanes._replace(effectors=records))
+    moving = replace(problem, lanes=problem.lanes._replace(effectors=read))
     noisy = problem.with_noise(correlated_noise(moving))
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
     linear = linear_model(
         replace(noisy, n_held_out=len(names) - required),
         z,
@@ -321,24 +325,8 @@ def survey(
     )
     seen = (weight > 0.0) & (np.array(failures) == "")[:, None, None]
     return Survey(
-        space=space,
-        z=z,
         linear=linear.all_fitted(),
         W_ep=np.concatenate(np.asarray(compliance.W_ep))[seen.ravel()],
         W_pp=np.sum(np.asarray(compliance.W_pp), axis=0),
         failures=tuple(failures),
     )
-
-
-def _scaled_values(
-    space: ParameterSpace, at: Float[AnyVector, " n_p"] | None
-) -> Float[Array, " n_p"]:
-    z = space.start() if at is None else jnp.asarray(at, float)
-    n_p = len(space.names)
-    if z.shape != (n_p,) or not bool(jnp.all(jnp.isfinite(z))):
-        raise ValueError(
-            f"`at` must be {n_p} finite scaled values, one per parameter "
-            f"({', '.join(space.names)}), got {np.asarray(z)}; "
-            "`space.to_scaled` makes them of SI values."
-        )
-    return z

@@ -20,11 +20,18 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.equilibrium import EquilibriumProgress, Model, NewtonSettings
-from softcal_jax.fields import PRECISION, Uncertain, asked_errors
-from softcal_jax.identifiability._identify import AnyVector, Parameters, survey
+from softcal_jax.fields import (
+    PRECISION,
+    Parameters,
+    Uncertain,
+    as_space,
+    asked_errors,
+)
+from softcal_jax.identifiability._identify import planned, scaled_values, survey
 from softcal_jax.identifiability._result import IDENTIFIABLE_UP_TO, spread_of
 from softcal_jax.inference import readable_error
 from softcal_jax.mesh import box_faces, locate
+from softcal_jax.unknowns import AnyArray
 
 MOST_TOGETHER = 4  # most candidates that are combined to reach the target
 
@@ -94,7 +101,7 @@ def rank_configurations(
     configurations: Configuration | Sequence[Configuration],
     candidates: Configuration | Sequence[Configuration],
     *,
-    at: Float[AnyVector, " n_p"] | None = None,
+    at: Float[AnyArray, " n_p"] | None = None,
     noise: float | None = None,
     newton: NewtonSettings | None = None,
     uncertain: Uncertain | None = None,
@@ -120,21 +127,13 @@ def rank_configurations(
     known, tried = as_sequence(configurations), as_sequence(candidates)
     if not tried:
         raise ValueError("at least one candidate is needed, got none.")
-    seen = survey(
-        model,
-        parameters,
-        (*known, *tried),
-        at=at,
-        noise=noise,
-        newton=newton,
-        uncertain=uncertain,
-        required=len(known),
-        progress=progress,
-    )
-    names = [c.name for c in tried]
-    asked = asked_errors(seen.space, seen.z, precision, model=model)
-    in_si = seen.space.slopes(seen.z) * asked
-    values = np.asarray(seen.space.from_scaled(seen.z))
+    space, uncertain = as_space(parameters), uncertain or Uncertain()
+    z, names = scaled_values(space, at), [c.name for c in tried]
+    problem = planned(model, space, (*known, *tried), noise, newton, uncertain)
+    seen = survey(problem, z, len(known), progress)
+    asked = asked_errors(space, z, precision, model=model)
+    in_si = space.slopes(z) * asked
+    values = np.asarray(space.from_scaled(z))
 
     def with_these(*chosen: str, jitter: float = 1.0) -> Gain:
         left_out = [name for name in names if name not in chosen]
@@ -148,11 +147,11 @@ def rank_configurations(
         return Gain(
             name=listed(chosen),
             errors=errors,
-            parameter=seen.space.names[i],
+            parameter=space.names[i],
             before=float(in_si[i] * before[i]),
             after=float(in_si[i] * errors[i]),
             value=float(values[i]),
-            unit=seen.space.parameters[i].unit,
+            unit=space.parameters[i].unit,
         )
 
     nothing = with_these()

@@ -20,22 +20,19 @@ from softcal_jax.calibration import (
     Evaluation,
     Evaluator,
     Run,
-    as_sequence,
     best_of,
     build_problem,
     images_of,
     known_optima,
+    number_of_starts,
     run_start,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     ControlPoints,
-    Entry,
-    ParameterSpace,
+    Parameters,
     Uncertain,
-    check_starts,
-    default_starts,
     random_starts,
 )
 from softcal_jax.identifiability import identifiability
@@ -112,19 +109,14 @@ def _fit(
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
         return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
 
-    n_c = len(problem.configurations.gravity)
+    n_c = len(problem.poses)
     folds = [*~np.eye(n_c, dtype=bool), np.ones(n_c, bool)]
     with Workers(problem.model, n_c * (n_c + 1)) as workers:
         whole = Evaluator(problem, workers)
         return workers.side_by_side(partial(fit, whole, fold) for fold in folds)
 
 
-def _score(
-    name: str,
-    problem: Problem,
-    configurations: Sequence[Configuration],
-    fits: list[_Fit],
-) -> ModelScore:
+def _score(name: str, problem: Problem, fits: list[_Fit]) -> ModelScore:
     """Score the folds of one model and the fit to all configurations."""
     effectors, noise = problem.configurations.effectors, problem.noise
     weight = np.asarray(effectors.inverse_std)
@@ -153,9 +145,9 @@ def _score(
 
     *held_out, last = fits
     folds = []
-    for c, fit in zip(configurations, held_out, strict=True):
+    for pose, fit in zip(problem.names, held_out, strict=True):
         errors, (fitted, _) = rms(fit, ~fit.fitted), rms(fit, fit.fitted)
-        folds.append(FoldScore(c.name, *errors, fitted, fit.failure))
+        folds.append(FoldScore(pose, *errors, fitted, fit.failure))
     seen = None
     if np.all(last.after.equilibrium.converged):
         z = jnp.asarray(last.run.z)
@@ -172,9 +164,6 @@ def _score(
         fit_failure=last.failure,
         identifiability=seen,
     )
-
-
-Parameters = ParameterSpace | Entry | Sequence[Entry]
 
 
 def compare_layouts(
@@ -263,8 +252,8 @@ def compare_laws(
         ValueError: If fewer than two configurations or no law is given, or an input is
             wrong; the text names the law.
     """
-    configurations, problems = as_sequence(configurations), {}
     # All problems are built before the first fit, so that a wrong one is found at once.
+    problems = {}
     for name, (model, parameters) in laws.items():
         try:
             problems[name] = build_problem(
@@ -272,14 +261,11 @@ def compare_laws(
             )
         except ValueError as error:
             raise ValueError(f"{name!r}: {error}") from error
-    return compare_models(
-        problems, configurations, settings=settings, starts=starts, seed=seed
-    )
+    return compare_models(problems, settings=settings, starts=starts, seed=seed)
 
 
 def compare_models(
     problems: Mapping[str, Problem],
-    configurations: Sequence[Configuration],
     *,
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
@@ -296,25 +282,23 @@ def compare_models(
     """
     if not problems:
         raise ValueError("at least one model is needed, got none.")
-    if len(configurations) < 2:
+    n_c = min(len(problem.poses) for problem in problems.values())
+    if n_c < 2:
         raise ValueError(
             "cross-validation fits all configurations but one and predicts that one: "
-            f"at least 2 are needed, got {len(configurations)}."
+            f"at least 2 are needed, got {n_c}."
         )
-    if starts is not None:
-        check_starts(starts)
     _check_same_data(problems)
     scores = []
     for name, problem in problems.items():
+        space, n = problem.space, number_of_starts(problem.space, starts, None)
         progress(name)
-        space = problem.space
         begin = space.admissible(space.start())[None]
-        n = default_starts(space) if starts is None else starts
         if n > 1:
             others = random_starts(space, n - 1, seed=seed)
             begin = jnp.concatenate([begin, others])
         fits = _fit(problem, settings or FOR_PREDICTION, begin)
-        scores.append(_score(name, problem, configurations, fits))
+        scores.append(_score(name, problem, fits))
     return ModelComparison.ranked(scores)
 
 

@@ -370,7 +370,6 @@ def compare_projects(
             )
     return compare_models(
         problems,
-        first.calibration,
         starts=first.starts,
         seed=first.seed,
         progress=progress,
