@@ -256,14 +256,11 @@ def asked_errors(
             field.
     """
     check_precision(precision)
-    values = np.asarray(space.from_scaled(jax.device_put(z)))
+    sizes = np.abs(np.asarray(space.from_scaled(jax.device_put(z))))
     pairs = [(entry, q) for entry in space.entries for q in entry.parameters]
-    asked = []
-    for (entry, parameter), value in zip(pairs, values, strict=True):
-        in_si = precision * _unit(entry, parameter, abs(float(value)), model)
-        log = parameter.scale == "log"
-        asked.append(in_si / (float(value) if log else float(parameter.unit_step)))
-    return np.maximum(asked, _LEAST)
+    each = zip(pairs, sizes.tolist(), strict=True)
+    in_si = [precision * _unit(entry, q, size, model) for (entry, q), size in each]
+    return np.maximum(in_si / space.slopes(z), _LEAST)
 
 
 def check_precision(precision: float) -> None:

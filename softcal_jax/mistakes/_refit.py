@@ -1,29 +1,43 @@
-"""Readings, changes of them, and linear fits to the changed ones about a simulation.
+"""Readings, simulations of them, and linear fits to changed readings about these.
 
 The errors r + W dz are weighed as stated, offsets of recordings and attachments
 included, and dz stays within the bounds of the parameters: what a calibration to the
 changed readings would do in its next step (Eq. 10).
 """
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
+from scipy.spatial import KDTree
 
+from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.bodies import rotation_matrix, rotation_vector
-from softcal_jax.calibration import CalibrationResult, ConfigurationResult
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult, Evaluator
+from softcal_jax.configurations import ConfigurationArrays, ConfigurationLanes
+from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import RANK, span, whitened
+from softcal_jax.mesh import box_faces
+from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import Problem
 
 TRUST = 1.0  # largest step of lambda_p about a simulation: a factor e of a modulus [-]
 
 NEAR = 0.1
 """Step up to which a linear fit holds; its error is about half its square [-]."""
+
+FORCES: Mapping[str, Callable[[ConfigurationArrays], Any]] = {
+    "gravity": lambda pose: pose.gravity,
+    "loads": lambda pose: pose.loads.force,
+    "actuation": lambda pose: pose.actuation.value,
+}
+"""What deforms a pose."""
 
 
 Kind = Literal[
@@ -137,6 +151,80 @@ class Refit(NamedTuple):
     def near(self) -> bool:
         """Whether the fit is so near to its simulation that it holds."""
         return bool(np.max(np.abs(self.step), initial=0.0) <= NEAR)
+
+
+class Simulator:
+    """Simulates variants of the poses of a calibration; it keeps what it has solved.
+
+    `acts` flags the poses in which each of the forces acts that act in any.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        workers: Workers,
+        displacement: Sequence[Float[HostArray, "n_nodes 3"]],
+    ):
+        """Begin with the displacement of each pose, as it was stated [m]."""
+        self.problem, self.workers = problem, workers
+        self.poses = list(problem.configurations)
+        self.faces = box_faces(problem.model.mesh)
+        acting = lambda of: [bool(np.any(np.asarray(of(pose)))) for pose in self.poses]
+        acts = {force: np.array(acting(of)) for force, of in FORCES.items()}
+        self.acts = {force: where for force, where in acts.items() if where.any()}
+        self._done: dict[Hashable, Response] = {}
+        self._near: dict[Hashable, HostArray] = {}
+        if problem.model.n_points == problem.model.mesh.n_nodes:
+            self._near = {(c, Stated()): u for c, u in enumerate(displacement)}
+
+    def held(self, c: int) -> Float[HostArray, "n_held 3"]:
+        """Return the nodes of a pose that are held in place [m]."""
+        points = self.problem.model.mesh.points
+        return points[np.asarray(self.poses[c].fixed)[: len(points)].all(axis=1)]
+
+    def __call__(self, variant: Variant, z: HostArray) -> Simulated | None:
+        """Simulate all poses at scaled parameters; None if one has no equilibrium."""
+        lanes = list(enumerate(variant or (Stated(),) * len(self.poses)))
+        todo = [lane for lane in lanes if (lane, z.tobytes()) not in self._done]
+        for is_near in (True, False):
+            self._solve([k for k in todo if (k in self._near) == is_near], z)
+        every = stacked([self._done[lane, z.tobytes()] for lane in lanes])
+        if not np.all(np.asarray(every.ok) & np.asarray(every.equilibrium.converged)):
+            return None
+        e = np.asarray(every.effectors)
+        return Simulated(z, e, np.asarray(every.W_ep).reshape(*e.shape, -1))
+
+    def _solve(self, lanes: Sequence[tuple[int, Stated]], z: HostArray) -> None:
+        """Solve poses, all from a state of the same variant or all from rest."""
+        if not lanes:
+            return
+        posed = stacked([self._posed(*lane) for lane in lanes])
+        alone = ConfigurationLanes(posed, ())
+        problem = replace(self.problem.bare, lanes=alone, noise=None)
+        evaluate, on_device = Evaluator(problem, self.workers), jax.device_put(z)
+        if lanes[0] in self._near:
+            near = jax.device_put(np.stack([self._near[lane] for lane in lanes]))
+            response = evaluate(on_device, near).response
+        else:
+            response = evaluate.from_rest(on_device).response
+        for k, lane in enumerate(lanes):
+            one = self._done[lane, z.tobytes()] = lane_of(response, k)
+            if bool(one.equilibrium.converged):
+                self._near[lane] = np.asarray(one.equilibrium.displacement)
+
+    def _posed(self, c: int, stated: Stated) -> ConfigurationArrays:
+        """Change the arrays of a pose."""
+        pose, points = self.poses[c], self.problem.model.mesh.points
+        fixed = np.array(pose.fixed)
+        if stated.face:
+            fixed[: len(points)] = False
+            fixed[self.faces[stated.face]] = True
+        if stated.depth > 0.0:
+            distance, _ = KDTree(self.held(c)).query(points)
+            fixed[: len(points)] |= (distance <= stated.depth)[:, None]
+        values = [getattr(stated, f) * np.asarray(of(pose)) for f, of in FORCES.items()]
+        where = lambda pose: (pose.fixed, *(of(pose) for of in FORCES.values()))
+        return eqx.tree_at(where, pose, jax.device_put((fixed, *values)))
 
 
 class Readings:

@@ -17,16 +17,16 @@ from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import CalibrationResult, build_problem
 from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
-from softcal_jax.mistakes._readings import changes
+from softcal_jax.mistakes._changes import changes, clamps, commands, forces
 from softcal_jax.mistakes._refit import (
     Change,
     Kind,
     Readings,
     Refit,
     Simulated,
+    Simulator,
     Variant,
 )
-from softcal_jax.mistakes._statements import Simulator, clamps, commands, forces
 
 CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
 
