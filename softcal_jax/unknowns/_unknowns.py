@@ -88,10 +88,6 @@ class Unknown(NamedTuple):
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
 
-    def in_each(self) -> Float[HostArray, " n_c"]:
-        """Return its standard deviation in each configuration, 0 where it has none."""
-        return np.array([0.0 if key is None else self.prior for key in self.scope])
-
     @property
     def happens(self) -> bool:
         """Whether any configuration has it."""
@@ -279,8 +275,9 @@ def correlated_noise(problem: Problem) -> CorrelatedNoise:
     names = recording_names(problem.poses)
     of_noise = [unknown for unknown in unknowns(problem) if unknown.role == "noise"]
     of = lambda cause: [unknown for unknown in of_noise if unknown.cause == cause]
-    offset = [unknown.in_each() for unknown in of(RECORDINGS)]
-    share = np.sum([unknown.in_each() for unknown in of(CREEP)], axis=0)
+    in_each = lambda u: [0.0 if key is None else u.prior for key in u.scope]
+    offset = [in_each(unknown) for unknown in of(RECORDINGS)]
+    share = np.sum([in_each(unknown) for unknown in of(CREEP)], axis=0)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(problem.poses, records, n_rows)
