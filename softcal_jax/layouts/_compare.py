@@ -122,7 +122,7 @@ def _score(name: str, problem: Problem, fits: list[_Fit]) -> ModelScore:
     weight = np.asarray(effectors.inverse_std)
     assert noise is not None
     # In the errors these offsets are subtracted, so the noise has none.
-    known = eqx.tree_at(lambda n: n.attachment_std, noise, np.zeros(0))
+    known = eqx.tree_at(lambda n: n.attached.std, noise, np.zeros(0))
     # Only points have distances; turns and forces count in units of the noise alone.
     n_points = effectors.nodes.shape[-2]
 

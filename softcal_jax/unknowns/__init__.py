@@ -3,6 +3,7 @@
 from softcal_jax.unknowns._noise import (
     RECORDINGS as RECORDINGS,
     AnyArray as AnyArray,
+    Attachments as Attachments,
     CorrelatedNoise as CorrelatedNoise,
     attachments as attachments,
     check_references as check_references,

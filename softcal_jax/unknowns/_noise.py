@@ -39,6 +39,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
@@ -78,9 +79,6 @@ def creep_of(configuration: Configuration) -> str:
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
 
-Attachment = tuple[str, str, str]
-"""Names of the reference and of an effector, and its quantity."""
-
 
 class Attachments(NamedTuple):
     """Attachments of the effectors whose displacement counts, not their position.
@@ -88,12 +86,12 @@ class Attachments(NamedTuple):
     Attributes:
         of_row: Index of the attachment of each row, -1 for rows without.
         axes: Axes of its offset, as a matrix for each row [-].
-        keys: What each attachment is, by this index.
+        std: Standard deviation of each offset, by this index [m, rad].
     """
 
-    of_row: Int[HostArray, "n_c n_rows"]
-    axes: Float[HostArray, "n_c n_rows 3 3"]
-    keys: tuple[Attachment, ...]
+    of_row: Int[AnyArray, "n_c n_rows"]
+    axes: Float[AnyArray, "n_c n_rows 3 3"]
+    std: Float[AnyArray, " n_attachments"]
 
     def shifts(
         self,
@@ -103,6 +101,7 @@ class Attachments(NamedTuple):
         """Return what the offset of its attachment adds to each row [m, rad].
 
         Offsets fit the weighted errors of the first configurations, by least squares.
+        All arrays must be on the host.
         """
         shifts, n = np.zeros((*self.of_row.shape, 3)), len(weight)
         for k in range(int(self.of_row.max(initial=-1)) + 1):
@@ -127,7 +126,7 @@ def attachments(
     references = {c.displacement_from for c in configurations} - {None}
     index = np.full((len(configurations), n_rows), -1, np.int32)
     axes = np.tile(np.eye(3), (*index.shape, 1, 1))
-    keys: dict[Attachment, int] = {}
+    keys: dict[tuple[str, str, str], int] = {}
     for lane, (c, records) in enumerate(zip(configurations, effectors, strict=True)):
         reference = c.displacement_from or (c.name if c.name in references else None)
         if reference is None:
@@ -139,7 +138,8 @@ def attachments(
                 key = (reference, e.name, e.quantity)
                 index[lane, e.index] = keys.setdefault(key, len(keys))
                 axes[lane, e.index] = turned.get(e.name, np.eye(3))
-    return Attachments(index, axes, tuple(keys))
+    far = np.array([FAR_BEYOND[quantity] for *_, quantity in keys])
+    return Attachments(index, axes, far)
 
 
 def check_references(
@@ -243,9 +243,7 @@ class CorrelatedNoise(Module):
         motion: Motion of the points, as measured or simulated; 0 for other rows [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
-        attachment: Index of the attachment whose offset each row has; -1 for none.
-        attachment_axes: Axes of this offset, as a matrix for each row [-].
-        attachment_std: Standard deviation of the offset of each attachment [m, rad].
+        attached: Attachments of the rows.
     """
 
     recording: Int[AnyArray, " n_c"]
@@ -253,9 +251,7 @@ class CorrelatedNoise(Module):
     motion: Float[AnyArray, "n_c n_rows 3"]
     share: Float[AnyArray, " n_c"]
     jitter: Float[AnyArray, ""]
-    attachment: Int[AnyArray, "n_c n_rows"]
-    attachment_axes: Float[AnyArray, "n_c n_rows 3 3"]
-    attachment_std: Float[AnyArray, " n_attachments"]
+    attached: Attachments
 
     @property
     def n_common(self) -> int:
@@ -281,12 +277,13 @@ class CorrelatedNoise(Module):
         shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, noise.offset, same, axes)
         shares = xp.einsum("crx,c,cd->crxd", weight * noise.motion, noise.share, each)
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
-        n = self.attachment_std.shape[-1]
+        index, turned, std = noise.attached
+        n = std.shape[-1]
         if n > 0:
-            index = xp.arange(n, dtype=noise.attachment.dtype)
-            of_row = (noise.attachment[:, :, None] == index[None, None]).astype(dtype)
-            std, turned = noise.attachment_std[None, None], noise.attachment_axes
-            attached = xp.einsum("crx,crm,crxy->crxmy", weight, of_row * std, turned)
+            number = xp.arange(n, dtype=index.dtype)
+            of_row = (index[:, :, None] == number[None, None]).astype(dtype)
+            of_row = of_row * std[None, None]
+            attached = xp.einsum("crx,crm,crxy->crxmy", weight, of_row, turned)
             parts.append(attached.reshape(n_e, 3 * n))
         return xp.concatenate(parts, axis=1) / noise.jitter
 
@@ -300,11 +297,11 @@ class CorrelatedNoise(Module):
 
         Only errors of configurations that are `fitted` tell them, by default all.
         """
-        of_row, axes = np.asarray(self.attachment), np.asarray(self.attachment_axes)
+        attached = jax.tree.map(np.asarray, self.attached)
         errors, weight = np.asarray(delta_e), np.asarray(effectors.inverse_std)
         rows = np.ones(len(weight), bool) if fitted is None else fitted
         counted = np.where(rows[:, None, None], weight, 0.0)
-        shifts = Attachments(of_row, axes, ()).shifts(counted, errors)
+        shifts = attached.shifts(counted, errors)
         return np.where(weight > 0.0, errors - shifts, 0.0)
 
     def on_host(self, effectors: EffectorArrays) -> Float[HostArray, "n_e n_columns"]:
@@ -320,10 +317,8 @@ class CorrelatedNoise(Module):
 
     def of_first(self, n: int) -> "CorrelatedNoise":
         """Return the noise of the first few configurations of the batch."""
-        per_lane = ("recording", "offset", "motion", "share")
-        per_lane += ("attachment", "attachment_axes")
-        first = {name: np.asarray(getattr(self, name))[:n] for name in per_lane}
-        return replace(self, **jax.device_put(first))
+        per_lane = lambda x: (x.recording, x.offset, x.motion, x.share, *x.attached[:2])
+        return eqx.tree_at(per_lane, self, lane_of(per_lane(self), slice(n)))
 
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]

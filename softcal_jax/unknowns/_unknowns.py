@@ -43,12 +43,11 @@ from softcal_jax.fields import (
     grounded_bodies,
     region_tets,
 )
-from softcal_jax.inference import ATTACHMENTS, ErrorColumns
+from softcal_jax.inference import ErrorColumns
 from softcal_jax.mesh import TetMesh, boundary_faces
 from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
 from softcal_jax.unknowns._noise import (
     CREEP,
-    FAR_BEYOND,
     RECORDINGS,
     CorrelatedNoise,
     attachments,
@@ -119,7 +118,6 @@ def unknowns(problem: Problem) -> tuple[Unknown, ...]:
         _of_clamps(problem),
         _of_mesh(problem),
         *_of_creep(problem),
-        *_of_attachments(problem),
     )
 
 
@@ -220,16 +218,6 @@ def _of_creep(problem: Problem) -> Iterator[Unknown]:
         yield Unknown(CREEP, creep_of(configuration), None, share, "noise", scope)
 
 
-def _of_attachments(problem: Problem) -> Iterator[Unknown]:
-    """List the offsets of points and frames whose displacement counts."""
-    n_rows = problem.configurations.effectors.measured.shape[1]
-    attached = attachments(problem.poses, problem.records, n_rows)
-    for k, key in enumerate(attached.keys):
-        has_it = np.any(attached.of_row == k, axis=1)
-        scope, far = _where(("",) * len(has_it), has_it), FAR_BEYOND[key[-1]]
-        yield Unknown(ATTACHMENTS, " ".join(key), None, far, "noise", scope)
-
-
 def held_nodes(
     model: Model, configurations: ConfigurationArrays
 ) -> Bool[HostArray, "n_c n_nodes"]:
@@ -267,17 +255,17 @@ def outward_motion(
 
 
 def correlated_noise(problem: Problem) -> CorrelatedNoise:
-    """Collect the unknowns that are part of the noise, as arrays.
+    """Collect the unknowns that are part of the noise, and attachments, as arrays.
 
     What is to be estimated has its first value.
     """
     effectors, records = problem.configurations.effectors, problem.records
     names = recording_names(problem.poses)
-    of_noise = [unknown for unknown in unknowns(problem) if unknown.role == "noise"]
-    of = lambda cause: [unknown for unknown in of_noise if unknown.cause == cause]
-    in_each = lambda u: [0.0 if key is None else u.prior for key in u.scope]
-    offset = [in_each(unknown) for unknown in of(RECORDINGS)]
-    share = np.sum([in_each(unknown) for unknown in of(CREEP)], axis=0)
+    in_each: dict[str, list[list[float]]] = {RECORDINGS: [], CREEP: []}
+    for unknown in unknowns(problem):
+        if unknown.role == "noise":
+            std = [0.0 if key is None else unknown.prior for key in unknown.scope]
+            in_each[unknown.cause].append(std)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(problem.poses, records, n_rows)
@@ -289,13 +277,13 @@ def correlated_noise(problem: Problem) -> CorrelatedNoise:
                 motion[lane, e.index] = -np.nan_to_num(e.error(e.at_rest))
     noise = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
-        offset=np.asarray(np.transpose(offset), dtype),
+        offset=np.asarray(np.transpose(in_each[RECORDINGS]), dtype),
         motion=motion,
-        share=np.asarray(share, dtype),
+        share=np.asarray(np.sum(in_each[CREEP], axis=0), dtype),
         jitter=np.ones((), dtype),
-        attachment=attached.of_row,
-        attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.array([u.prior for u in of(ATTACHMENTS)], dtype),
+        attached=attached._replace(
+            axes=np.asarray(attached.axes, dtype), std=np.asarray(attached.std, dtype)
+        ),
     )
     return jax.device_put(noise)
 

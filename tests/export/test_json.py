@@ -17,7 +17,7 @@ from softcal_jax.calibration import LeftOut, ParameterInterval, ResidualChecks
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
-from softcal_jax.unknowns import CorrelatedNoise
+from softcal_jax.unknowns import Attachments, CorrelatedNoise
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +104,9 @@ def test_noise_and_checks_are_in_millimetres():
         motion=np.zeros((2, 1, 3)),
         share=np.array([0.0, 0.02]),
         jitter=np.array(1.5),
-        attachment=np.full((2, 1), -1),
-        attachment_axes=np.tile(np.eye(3), (2, 1, 1, 1)),
-        attachment_std=np.zeros(0),
+        attached=Attachments(
+            np.full((2, 1), -1), np.tile(np.eye(3), (2, 1, 1, 1)), np.zeros(0)
+        ),
     )
     predicted = LeftOut("held out", 1e-3, 2e-4, 1e-2, 1e-3, np.nan)
     test = LackOfFit(4.0, 7, 9, 1e-3, 0.8, np.array([0.75, 0.25]))
