@@ -47,11 +47,8 @@ from softcal_jax.inference import ErrorColumns
 from softcal_jax.mesh import TetMesh, boundary_faces
 from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
 from softcal_jax.unknowns._noise import (
-    CREEP,
-    RECORDINGS,
     CorrelatedNoise,
     attachments,
-    creep_of,
     recording_names,
 )
 from softcal_jax.unknowns._problem import Problem
@@ -117,7 +114,6 @@ def unknowns(problem: Problem) -> tuple[Unknown, ...]:
         *_of_setup(problem),
         _of_clamps(problem),
         _of_mesh(problem),
-        *_of_creep(problem),
     )
 
 
@@ -208,16 +204,6 @@ def _of_mesh(problem: Problem) -> Unknown:
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
 
 
-def _of_creep(problem: Problem) -> Iterator[Unknown]:
-    """List the share of the motion of each configuration that is noise."""
-    n_c = len(problem.poses)
-    for c, configuration in enumerate(problem.poses):
-        std = configuration.relative_std
-        share = FIRST_SHARE if std == "estimated" else std
-        scope = _where(("",) * n_c, (np.arange(n_c) == c) & (share > 0.0))
-        yield Unknown(CREEP, creep_of(configuration), None, share, "noise", scope)
-
-
 def held_nodes(
     model: Model, configurations: ConfigurationArrays
 ) -> Bool[HostArray, "n_c n_nodes"]:
@@ -255,17 +241,19 @@ def outward_motion(
 
 
 def correlated_noise(problem: Problem) -> CorrelatedNoise:
-    """Collect the unknowns that are part of the noise, and attachments, as arrays.
+    """Collect what is part of the noise of the poses, as arrays.
 
     What is to be estimated has its first value.
     """
     effectors, records = problem.configurations.effectors, problem.records
     names = recording_names(problem.poses)
-    in_each: dict[str, list[list[float]]] = {RECORDINGS: [], CREEP: []}
-    for unknown in unknowns(problem):
-        if unknown.role == "noise":
-            std = [0.0 if key is None else unknown.prior for key in unknown.scope]
-            in_each[unknown.cause].append(std)
+    offset = [
+        [0.0 if key is None else unknown.prior for key in unknown.scope]
+        for unknown in _of_setup(problem)
+        if unknown.role == "noise"
+    ]
+    shares = [pose.relative_std for pose in problem.poses]
+    shares = [FIRST_SHARE if share == "estimated" else share for share in shares]
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(problem.poses, records, n_rows)
@@ -277,9 +265,9 @@ def correlated_noise(problem: Problem) -> CorrelatedNoise:
                 motion[lane, e.index] = -np.nan_to_num(e.error(e.at_rest))
     noise = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
-        offset=np.asarray(np.transpose(in_each[RECORDINGS]), dtype),
+        offset=np.asarray(np.transpose(offset), dtype),
         motion=motion,
-        share=np.asarray(np.sum(in_each[CREEP], axis=0), dtype),
+        share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
         attached=attached._replace(
             axes=np.asarray(attached.axes, dtype), std=np.asarray(attached.std, dtype)
