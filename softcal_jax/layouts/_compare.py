@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import unstacked
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     Begun,
@@ -93,7 +94,7 @@ def _fold_problem(problem: Problem, fitted: Bool[HostArray, " n_c"]) -> Problem:
 def _fit(
     problem: Problem,
     settings: CalibrationSettings,
-    starts: Float[Array, "n_starts n_p"],
+    starts: Sequence[Float[Array, " n_p"]],
 ) -> list[_Fit]:
     """Fit all configurations but each one, then all, side by side."""
     images = images_of(problem.space, mirror=True)
@@ -101,7 +102,7 @@ def _fit(
     def fit(whole: Evaluator, fitted: Bool[HostArray, " n_c"]) -> _Fit:
         evaluator = Evaluator(_fold_problem(problem, fitted), whole.workers)
         ended: list[Begun] = []
-        for z in map(jnp.asarray, np.asarray(starts)):
+        for z in starts:
             known = known_optima(ended, images)
             ended.append(run_start(evaluator, settings, z, images=images, known=known))
         runs = [begun.best for begun in ended]
@@ -293,10 +294,9 @@ def compare_models(
     for name, problem in problems.items():
         space, n = problem.space, number_of_starts(problem.space, starts, None)
         progress(name)
-        begin = space.admissible(space.start())[None]
+        begin = [space.admissible(space.start())]
         if n > 1:
-            others = random_starts(space, n - 1, seed=seed)
-            begin = jnp.concatenate([begin, others])
+            begin += unstacked(random_starts(space, n - 1, seed=seed))
         fits = _fit(problem, settings or FOR_PREDICTION, begin)
         scores.append(_score(name, problem, fits))
     return ModelComparison.ranked(scores)
