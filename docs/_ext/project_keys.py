@@ -60,7 +60,7 @@ from softcal_jax.project._markers import (
 )
 from softcal_jax.project._quantities import _OF_UNIT
 from softcal_jax.project._sensors import AnyEffector
-from softcal_jax.project._table import Maker, _in_words, table_of
+from softcal_jax.project._table import Context, Maker, _in_words, table_of
 
 PAGE = Path(__file__).parents[1] / "reference" / "project-file.md"
 COMMANDS = PAGE.with_name("commands.md")
@@ -317,7 +317,7 @@ def _expected(table: type[Table], key: str) -> str:
 def _refused(table: type[Table], key: str, value: Any) -> str:
     """Return what an error says that a key expects in place of a value."""
     try:
-        table.model_validate({key: value})
+        table.model_validate({key: value}, context=Context(Path()))
     except ValidationError as error:
         for details in error.errors():
             text = _in_words(details) if details["loc"][:1] == (key,) else ""

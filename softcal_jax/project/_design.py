@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -45,6 +44,7 @@ from softcal_jax.project._sensors import Effectors, WrittenPoseTable, build_effe
 from softcal_jax.project._setup import Share, ShareOrEstimated
 from softcal_jax.project._table import (
     Choice,
+    File,
     Maker,
     Table,
     TableOr,
@@ -117,7 +117,6 @@ Posed = tuple[Configuration, MeasuredMarkers]
 
 
 def build_configuration(
-    folder: Path,
     table: CandidateTable,
     project: WholeFile,
     model: Model,
@@ -125,7 +124,7 @@ def build_configuration(
 ) -> Posed:
     """Build a configuration or candidate, with what was measured.
 
-    Relative paths start from `folder`, and `effectors` are without measured values.
+    The `effectors` are without measured values.
     """
     mesh, mechanism = model.mesh, model.mechanism
     supports, loads = [], []
@@ -138,7 +137,7 @@ def build_configuration(
             loads.append(load.build())
             loads[-1].nodal_forces(mesh)  # raises if there is no such place
     measured = getattr(table, "measured", None)
-    seen = _markers_of(folder, table, measured, project.markers)
+    seen = _markers_of(table, measured, project.markers)
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
         for name in chosen:
@@ -154,7 +153,7 @@ def build_configuration(
         with under(f"measured.effectors.{name}"):
             known_name("effector", name, followed, "[effectors]")
             read = project.effectors[name].measured
-            followed[name] = read(followed[name], value, folder, model)
+            followed[name] = read(followed[name], value, model)
     reference = None if measured is None else measured.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
@@ -177,12 +176,11 @@ def build_configuration(
         if measured is not None:
             raise ValueError("it has a `goal` and is `measured`; give one of the two.")
         with under("goal"):
-            configuration = with_goals(folder, model, project, configuration, goal)
+            configuration = with_goals(model, project, configuration, goal)
     return configuration, seen
 
 
 def _markers_of(
-    folder: Path,
     table: CandidateTable,
     source: MeasuredTable | None,
     every: MarkersTable | None,
@@ -200,7 +198,7 @@ def _markers_of(
         return MeasuredMarkers(markers)
     with under("measured"):
         try:
-            return source.build(folder, every, markers)
+            return source.build(every, markers)
         except ValueError as error:
             if source.select or source.recording or isinstance(error, WrongKeyError):
                 raise
@@ -224,7 +222,7 @@ class DesignTable(Table):
     """
 
     foam: Infill | Literal["none"] = "none"
-    table: str | None = None
+    table: File | None = None
     solid_modulus: typed.Modulus = TPU
     modulus_error: Share = Printing().moduli
     angle_error: typed.Angle = Printing().angle
@@ -258,10 +256,8 @@ class DesignTask(Module):
     robust: bool
 
 
-def build_design(
-    folder: Path, table: WholeFile, goals: tuple[Configuration, ...]
-) -> DesignTask:
-    """Build the design that a file asks for; relative paths start from `folder`."""
+def build_design(table: WholeFile, goals: tuple[Configuration, ...]) -> DesignTask:
+    """Build the design that a file asks for."""
     asked: DesignTable = table.design
     limits: dict[str, Limits] = {}
     for name, text in asked.limits.items():
@@ -281,8 +277,7 @@ def build_design(
         foam = published_foam(asked.solid_modulus)
     elif asked.foam != "none":
         with under("table"):
-            path = None if asked.table is None else folder / asked.table
-            foam = foam_table(asked.foam, path)
+            foam = foam_table(asked.foam, asked.table)
     changes = {"moduli": asked.modulus_change, "angle": asked.angle_change}
     peaks = {"stretch": asked.largest_stretch, "stress": asked.largest_stress}
     stated = lambda values: {k: v for k, v in values.items() if v is not None}
@@ -298,7 +293,6 @@ def build_design(
 
 
 def with_goals(
-    folder: Path,
     model: Model,
     table: WholeFile,
     configuration: Configuration,
@@ -319,7 +313,7 @@ def with_goals(
             if isinstance(value, dict):
                 value = WrittenPoseTable.model_validate(value)
             kind = table.effectors[name]
-            aimed.append(kind.measured(effectors[name], value, folder, model))
+            aimed.append(kind.measured(effectors[name], value, model))
     return replace(with_marker_goals(configuration, places), effectors=tuple(aimed))
 
 

@@ -53,12 +53,11 @@ def inverse_as_typed(
             markers leave different coordinates free; the text says what was expected.
     """
     table = read_tables(project.path, project.source.changes)
-    folder, model = project.path.parent, project.model
     values = {}
     for name, text in goals.items():
         with under(f"goal of {name!r}"):
             values[name] = _value(text)
-    posed = with_goals(folder, model, table, configuration, values)
+    posed = with_goals(project.model, table, configuration, values)
     actuation: dict[str, Any] = {**posed.actuation}
     for name, text in starts.items():
         with under(f"start of {name!r}"):

@@ -4,7 +4,6 @@ import os
 import re
 import warnings
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import Uncertain, check_parameters
-from softcal_jax.mesh import TetMesh
+from softcal_jax.mesh import TetMesh, mesh_files
 from softcal_jax.project._design import Posed, build_configuration, build_design
 from softcal_jax.project._plausible import (
     ProjectWarning,
@@ -31,8 +30,9 @@ from softcal_jax.project._reading import (
     ProjectTable,
     read_schema,
     read_tables,
+    values_in,
 )
-from softcal_jax.project._sensors import PhotosTable, build_effectors
+from softcal_jax.project._sensors import build_effectors
 from softcal_jax.project._setup import build_space
 from softcal_jax.project._table import WrongKeyError, in_file, one_by_one, under
 
@@ -118,14 +118,14 @@ def _built(
             check_parameters(model, space)
             start = {q.name: q.start for q in space.parameters}
             model, _ = space.with_values(model, None, start)
-    posed, candidates = _configurations(path.parent, table, model)
+    posed, candidates = _configurations(table, model)
     with_role = list(zip(posed, table.configurations, strict=True))
     goals = tuple(c for (c, _), row in with_role if row.goal is not None)
     of_role = lambda role: tuple(
         c for (c, _), row in with_role if row.role == role and row.goal is None
     )
     with under("design"):
-        asked = build_design(path.parent, table, goals)
+        asked = build_design(table, goals)
     with under("settings"):
         settings = table.settings.build()
     with under("newton"):
@@ -144,7 +144,7 @@ def _built(
         uncertain=Uncertain(**table.uncertain.model_dump()),
         settings=settings,
         newton=newton,
-        source=ProjectSource.of(path, _files(path, table), changes),
+        source=ProjectSource.of(path, _files(table), changes),
         registrations={
             c.name: seen.registration for c, seen in posed if seen.registration
         },
@@ -154,12 +154,11 @@ def _built(
 
 def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
     """Build the model; each body and each actuator is checked under its own key."""
-    folder, problems = path.parent, []
-    mesh = _mesh(folder, table)
+    mesh, problems = _mesh(path.parent, table), []
     bodies, actuators = [], []
     for name, body in table.bodies.items():
         with under(f"bodies.{name}"):
-            bodies.append(body.build(name, folder))
+            bodies.append(body.build(name))
             # A tied body needs the other ones, so it is checked below with them.
             if bodies[-1].tied_to is None:
                 build_mechanism(mesh, bodies[-1:])
@@ -181,7 +180,7 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
         assert density is not None  # which every law has
         return build_model(
             mesh,
-            table.material.build(mesh, partial(table.mesh.tet_data, folder)),
+            table.material.build(mesh, table.mesh.tet_data),
             density=density,
             bodies=bodies,
             actuators=actuators,
@@ -202,7 +201,7 @@ def _mesh(folder: Path, table: ProjectTable | MeshTables) -> TetMesh:
 
 
 def _configurations(
-    folder: Path, table: ProjectTable, model: Model
+    table: ProjectTable, model: Model
 ) -> tuple[list[Posed], list[Posed]]:
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
@@ -210,7 +209,7 @@ def _configurations(
     for key, built in posed.items():
         for pose in getattr(table, key):
             with under(f"{key}.{pose.name}"):
-                built.append(build_configuration(folder, pose, table, model, effectors))
+                built.append(build_configuration(pose, table, model, effectors))
         with under(key):
             if built:
                 every = [configuration for configuration, _ in built]
@@ -221,18 +220,10 @@ def _configurations(
     return posed["configurations"], posed["candidates"]
 
 
-def _files(path: Path, table: ProjectTable) -> list[Path]:
-    measured = [c.measured for c in table.configurations if c.measured is not None]
-    readings = [reading for m in measured for reading in (m, *m.effectors.values())]
-    files = dict.fromkeys(getattr(reading, "file", None) for reading in readings)
-    tags = [reading for reading in readings if isinstance(reading, PhotosTable)]
-    return [
-        *table.mesh.files(path.parent),
-        *(f for body in table.bodies.values() for f in body.files(path.parent)),
-        *(path.parent / name for name in files if name is not None),
-        *dict.fromkeys(file for tag in tags for file in tag.files(path.parent)),
-        *(path.parent / name for name in (table.design.table,) if name is not None),
-    ]
+def _files(table: ProjectTable) -> Mapping[Path, None]:
+    """Return all files that are named, and those that an Abaqus file includes."""
+    named = (file for _, file in values_in(table) if isinstance(file, Path))
+    return dict.fromkeys(file for path in named for file in mesh_files(path))
 
 
 CHANGE = "# CHANGE: "

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from softcal_jax.project import _quantities as typed
 from softcal_jax.project._sensors import DialectTable, Measured, Selection
 from softcal_jax.project._table import (
     Choice,
+    File,
     Table,
     TableOr,
     known_name,
@@ -179,7 +179,7 @@ class MeasuredTable(DialectTable):
     recording over its windows is added to the standard deviations.
     """
 
-    file: str | None = None
+    file: File | None = None
     labels: dict[str, str] = Field(default_factory=dict)
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
@@ -209,20 +209,22 @@ class MeasuredTable(DialectTable):
         # `displacement_from` may also name a configuration, which is left out here.
         return {k: w for k, w in every.items() if isinstance(w, WindowTable | dict)}
 
-    def _read_rows(self, path: Path, key: str, select: Any) -> MarkerTable:
+    def _read_rows(self, key: str, select: Any) -> MarkerTable:
+        assert self.file is not None
+        select = self.recording | select
         try:
-            return read_markers(path, select=self.recording | select, **self.dialect)
+            return read_markers(self.file, select=select, **self.dialect)
         except ValueError as error:
-            if not is_recording(path):
+            if not is_recording(self.file):
                 raise
             raise ValueError(
-                f"{path} is a recording over time: `{key}` says when, as in "
+                f"{self.file} is a recording over time: `{key}` says when, as in "
                 '{ between = ["1.2 s", "1.4 s"] }.'
             ) from error
 
-    def _read_recording(self, path: Path, needed: Sequence[str]) -> Recording:
+    def _read_recording(self, needed: Sequence[str]) -> Recording:
         """Read a recording, with markers under the names that the project has."""
-        recording = _read_once(path, **self.dialect)
+        recording = _read_once(self.file, **self.dialect)
         labels = {
             name: label
             for name, label in self.labels.items()
@@ -231,9 +233,7 @@ class MeasuredTable(DialectTable):
         with under("labels"):
             return recording.renamed(labels)
 
-    def build(
-        self, folder: Path, nominal: MarkersTable, markers: Markers
-    ) -> MeasuredMarkers:
+    def build(self, nominal: MarkersTable, markers: Markers) -> MeasuredMarkers:
         """Read positions of `markers` [m] in the mesh's frame; `nominal` lists all.
 
         With a selection as `displacement_from` they are the nominal positions plus the
@@ -244,14 +244,14 @@ class MeasuredTable(DialectTable):
         for name in self.labels:
             with under("labels"):
                 nominal.positions_of([name])  # raises if there is no such marker
-        path, names, recording = folder / str(self.file), markers.names, None
+        names, recording = markers.names, None
         if any(isinstance(which, WindowTable) for which in self._which().values()):
             fixed = () if self.registration is None else self.registration.markers
-            recording = self._read_recording(path, (*names, *fixed))
+            recording = self._read_recording((*names, *fixed))
         windows = {
             key: which.of(recording)
             if recording is not None and isinstance(which, WindowTable)
-            else self._read_rows(path, key, which)
+            else self._read_rows(key, which)
             for key, which in self._which().items()
         }
         loaded = self._positions(windows["select"], names)

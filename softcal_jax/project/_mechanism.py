@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -22,6 +21,7 @@ from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
 from softcal_jax.project._table import (
+    File,
     Maker,
     Table,
     TableOr,
@@ -40,22 +40,23 @@ class SurfaceFileTable(Table):
     """The shape of an obstacle in a file."""
 
     type: str
-    file: str = Field(description='a closed surface: "object.stl"')
+    file: File = Field(description='a closed surface: "object.stl"')
     length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
 
-    def build(self, folder: Path) -> AbstractShape:
-        """Read the shape; paths are relative to `folder`."""
-        path = folder / self.file
-        check_file(path, "surface file")
-        if path.suffix.lower() not in SURFACE_FORMATS:
+    def build(self) -> AbstractShape:
+        """Read the shape."""
+        check_file(self.file, "surface file")
+        if self.file.suffix.lower() not in SURFACE_FORMATS:
             raise ValueError(
-                f"surface file {path} has the extension {path.suffix!r}; expected one "
-                f"of {', '.join(SURFACE_FORMATS)}."
+                f"surface file {self.file} has the extension {self.file.suffix!r}; "
+                f"expected one of {', '.join(SURFACE_FORMATS)}."
             )
-        return read_surface(path, length_unit=METRES[self.length_unit])
+        return read_surface(self.file, length_unit=METRES[self.length_unit])
 
 
-AnyShape = Annotated[Table, of_type(SHAPES | {"surface": SurfaceFileTable})]
+AnyShape = Annotated[
+    Maker | SurfaceFileTable, of_type(SHAPES | {"surface": SurfaceFileTable})
+]
 
 
 class BodyTable(table_of(RigidBody, "name", "shape")):
@@ -78,20 +79,11 @@ class BodyTable(table_of(RigidBody, "name", "shape")):
             )
         return self
 
-    def build(self, name: str, folder: Path) -> RigidBody:
-        """Build the body; paths are relative to `folder`."""
-        shape = self.shape
+    def build(self, name: str) -> RigidBody:
         with under("shape"):
-            if isinstance(shape, SurfaceFileTable):
-                shape = shape.build(folder)
-            elif isinstance(shape, Maker):
-                shape = shape.build()
+            shape = None if self.shape is None else self.shape.build()
         axes = {} if self.hinge is None else {"axes": hinge_axes(self.hinge)}
         return super().build(name, shape=shape, **axes)
-
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        shape = self.shape
-        return (folder / shape.file,) if isinstance(shape, SurfaceFileTable) else ()
 
 
 StateName = Literal["held", "hinged", "sliding", "free", "absent"]
@@ -100,6 +92,9 @@ StateName = Literal["held", "hinged", "sliding", "free", "absent"]
 class BodyStateTable(table_of(Pose)):
     state: StateName = "held"
     start: Annotated[Maker, only(Pose)] = table_of(Pose)()
+
+    def build(self) -> BodyState:
+        return BodyState(self.state, super().build(), self.start.build())
 
 
 State = TableOr[BodyStateTable, StateName]
@@ -112,11 +107,7 @@ def build_states(
     for body, state in table.items():
         with under(body):
             known_name("rigid body", body, mechanism.bodies.names, "[bodies]")
-            states[body] = state
-            if isinstance(state, BodyStateTable):
-                states[body] = BodyState(
-                    state.state, state.build(), state.start.build()
-                )
+            states[body] = state.build() if isinstance(state, Maker) else state
     return states
 
 

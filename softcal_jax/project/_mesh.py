@@ -14,7 +14,15 @@ from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._table import Choice, Maker, Table, by_keys, of_type, table_of
+from softcal_jax.project._table import (
+    Choice,
+    File,
+    Maker,
+    Table,
+    by_keys,
+    of_type,
+    table_of,
+)
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
@@ -28,12 +36,9 @@ class _MeshTable(Table):
 
     @abstractmethod
     def build(self, folder: Path) -> TetMesh:
-        """Make the mesh; paths are relative to `folder`."""
+        """Make the mesh; what is costly to make is kept in `folder`."""
 
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        return ()
-
-    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
+    def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of a mesh file with values for each tet."""
         raise ValueError(
             f"there is no mesh file to read {name!r} from. Take "
@@ -42,7 +47,7 @@ class _MeshTable(Table):
 
 
 class MeshFileTable(_MeshTable):
-    file: str = Field(description='a mesh file: "robot.msh"')
+    file: File = Field(description='a mesh file: "robot.msh"')
     length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
     unused_nodes: Literal["error", "drop"] = "error"
     parts: Literal["one", "linked"] = "one"
@@ -50,27 +55,20 @@ class MeshFileTable(_MeshTable):
     def build(self, folder: Path) -> TetMesh:
         options = self.model_dump(include={"length_unit", "parts"})
         options |= {"order": self.order, "unused": self.unused_nodes}
-        return meshes.read_mesh(folder / self.file, **options)
+        return meshes.read_mesh(self.file, **options)
 
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        return meshes.mesh_files(folder / self.file)
-
-    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        return meshes.read_tet_data(folder / self.file, name)
+    def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
+        return meshes.read_tet_data(self.file, name)
 
 
 class CadMeshTable(_MeshTable):
-    file: str = Field(description='a CAD model: "finger.step" or "finger.stl"')
+    file: File = Field(description='a CAD model: "finger.step" or "finger.stl"')
     size: typed.PositiveLength = Field(description='length of its edges: "3 mm"')
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
         options = self.model_dump(include={"size", "length_unit"})
-        path = folder / self.file
-        return mesh_cad(path, order=self.order, kept_in=folder, **options)
-
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        return (folder / self.file,)
+        return mesh_cad(self.file, order=self.order, kept_in=folder, **options)
 
 
 class BeamTable(Table):

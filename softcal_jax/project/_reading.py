@@ -36,6 +36,7 @@ from softcal_jax.project._setup import (
 )
 from softcal_jax.project._table import (
     Choice,
+    Context,
     ProjectError,
     Table,
     describe,
@@ -155,7 +156,8 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     with suppress(ValueError):  # reported under [material] below
         material = material_table(raw.get("material"))
     try:
-        table = ProjectTable.model_validate(_with_shared(raw), context=material)
+        context = Context(path.parent, material)
+        table = ProjectTable.model_validate(_with_shared(raw), context=context)
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
@@ -174,7 +176,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
     """
     raw = read_toml(path, what)
     try:
-        return schema.model_validate(raw)
+        return schema.model_validate(raw, context=Context(path.parent))
     except ValidationError as error:
         raise one_by_one(path, describe(error, raw)) from error
 
@@ -270,10 +272,10 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 def values_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any]]:
     """Find all values in tables and lists, with the keys that lead to them."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
+    if isinstance(value, dict | BaseModel):
+        for key, inner in dict(value).items():
             yield from values_in(inner, (*keys, key))
-    elif isinstance(value, list):
+    elif isinstance(value, list | tuple):
         for i, inner in enumerate(value):
             yield from values_in(inner, (*keys, i))
     else:

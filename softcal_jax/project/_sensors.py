@@ -3,11 +3,10 @@
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from softcal_jax import configurations
@@ -32,7 +31,15 @@ from softcal_jax.project._quantities import (
     scalar,
     shown,
 )
-from softcal_jax.project._table import Choice, Maker, Table, of_type, table_of, under
+from softcal_jax.project._table import (
+    Choice,
+    File,
+    Maker,
+    Table,
+    of_type,
+    table_of,
+    under,
+)
 
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
@@ -114,18 +121,14 @@ class MotionSource(Table):
     """What the motion of a rigid body is found from: poses of a sensor or of a tag."""
 
     @abstractmethod
-    def seen(self, folder: Path, base: Pose) -> Seen:
-        """Return the pose; paths start from `folder`."""
+    def seen(self, base: Pose) -> Seen:
+        """Return the pose."""
 
-    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
+    def seen_before(self, base: Pose) -> Seen | None:
         """Return the pose that displacements start from; None for rest."""
 
     def motion(
-        self,
-        folder: Path,
-        base: Pose,
-        mounted: OrientationTable,
-        rest: Float[HostArray, "3"],
+        self, base: Pose, mounted: OrientationTable, rest: Float[HostArray, "3"]
     ) -> Seen:
         """Compute the motion of a rigid body, from rest or from an earlier pose.
 
@@ -133,9 +136,9 @@ class MotionSource(Table):
         sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
         pose it does not matter exactly where it was glued.
         """
-        pose, covariance = self.seen(folder, base)
+        pose, covariance = self.seen(base)
         before, mounting = rest, mounted.rotation
-        start = self.seen_before(folder, base)
+        start = self.seen_before(base)
         if start is not None:
             before, mounting = start.pose.translation, start.pose.matrix
         turn = pose.matrix @ mounting.T
@@ -166,7 +169,7 @@ class WrittenPoseTable(MotionSource, OrientationTable):
         'where it was read, { file = "tracker.csv" }'
     )
 
-    def seen(self, folder: Path, base: Pose) -> Seen:
+    def seen(self, base: Pose) -> Seen:
         p, R = np.array([self.position], float), self.rotation[None]
         return _mean(PoseTable(("sensor",), p, R, (1,), "the pose"), base)
 
@@ -174,42 +177,51 @@ class WrittenPoseTable(MotionSource, OrientationTable):
 class PoseFileTable(MotionSource, DialectTable):
     """A table of poses, with a header and columns to select by."""
 
-    file: str
+    file: File
     format: Literal["table"] = "table"
     sensor: str | None = None
     select: Selection = Field(default_factory=dict)
     displacement_from: Selection | None = None
 
-    def seen(self, folder: Path, base: Pose) -> Seen:
-        rows = configurations.read_poses(
-            folder / self.file, select=self.select, **self.dialect
-        )
+    def seen(self, base: Pose) -> Seen:
+        rows = configurations.read_poses(self.file, select=self.select, **self.dialect)
         one = rows if self.sensor is None else rows.readings_of(self.sensor)
         return _mean(one, base)
 
-    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
+    def seen_before(self, base: Pose) -> Seen | None:
         if self.displacement_from is None:
             return None
         select = self.select | self.displacement_from
-        return self.model_copy(update={"select": select}).seen(folder, base)
+        return self.model_copy(update={"select": select}).seen(base)
 
 
 class PolhemusFileTable(MotionSource):
     """The bare text of a tracker."""
 
-    file: str
+    file: File
     format: Literal["polhemus"]
     length_unit: LengthUnit = Field(description='unit of the tracker: "cm" or "inch"')
     angle_unit: Literal["deg", "rad"] = "deg"
     station: typed.Integer | None = None
 
-    def seen(self, folder: Path, base: Pose) -> Seen:
+    def seen(self, base: Pose) -> Seen:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
-        return _mean(configurations.read_polhemus(folder / self.file, **options), base)
+        return _mean(configurations.read_polhemus(self.file, **options), base)
+
+
+def _found(patterns: tuple[str, ...], info: Any) -> Any:
+    try:
+        return find_photos(patterns, info.context.folder)
+    except FileNotFoundError as error:
+        raise ValueError(str(error)) from error
+
+
+Photos = Annotated[typed.Names, AfterValidator(_found)]
+"""Photographs by patterns like "pose1/*.jpg"; as read, the files that fit."""
 
 
 class EarlierPhotosTable(Table):
-    photos: typed.Names = Field(description='photographs: "rest/*.jpg"')
+    photos: Photos = Field(description='photographs: "rest/*.jpg"')
 
 
 class PhotosTable(MotionSource):
@@ -220,38 +232,26 @@ class PhotosTable(MotionSource):
     camera is calibrated.
     """
 
-    photos: typed.Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
+    photos: Photos = Field(description='photographs: "pose1/*.jpg"', min_length=1)
     tag: typed.Integer = Field(description="number of the tag on the rigid body: 3")
     base_tag: typed.Integer = Field(description="number of the tag on the base: 0")
     size: typed.PositiveLength = Field(description='side of the black square: "20 mm"')
     base_size: typed.PositiveLength | None = None
-    board: typed.Names = ()
+    board: Photos = ()
     displacement_from: EarlierPhotosTable | None = None
 
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        earlier = self.displacement_from
-        more = () if earlier is None else earlier.photos
-        return find_photos([*self.photos, *more, *self.board], folder)
-
-    def seen(self, folder: Path, base: Pose) -> Seen:
-        tag = tag_pose(
-            find_photos(self.photos, folder),
-            tag=self.tag,
-            base_tag=self.base_tag,
-            size=self.size,
-            base_size=self.base_size,
-            board=find_photos(self.board, folder),
-        )
+    def seen(self, base: Pose) -> Seen:
+        tag = tag_pose(**{k: v for k, v in self if k != "displacement_from"})
         turn, axes = base.matrix, np.kron(np.eye(2), base.matrix)
         position = turn @ tag.position + base.translation
         pose = Pose.from_matrix(turn @ tag.rotation, position)
         return Seen(pose, axes @ tag.covariance @ axes.T)
 
-    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
+    def seen_before(self, base: Pose) -> Seen | None:
         if self.displacement_from is None:
             return None
         photos = self.displacement_from.photos
-        return self.model_copy(update={"photos": photos}).seen(folder, base)
+        return self.model_copy(update={"photos": photos}).seen(base)
 
 
 Effectors = dict[str, AbstractEffector]
@@ -285,10 +285,8 @@ class EffectorTable(Maker):
         with under("std"):
             return replace(effector, std=scalar(dimension_of(unit), "positive")(std))
 
-    def measured(
-        self, effector: Any, value: Any, folder: Path, model: Model
-    ) -> AbstractEffector:
-        """Return the effector with its measured value; paths start from `folder`."""
+    def measured(self, effector: Any, value: Any, model: Model) -> AbstractEffector:
+        """Return the effector with its measured value."""
         row = effector.rows(model.mesh, model.mechanism)[0]
         dimension = dimension_of(row.unit)
         if isinstance(value, MotionSource):
@@ -304,9 +302,7 @@ class BodyFrameTable(EffectorTable):
     orientation: OrientationTable = OrientationTable()
     base: FrameTable = FrameTable()
 
-    def measured(
-        self, effector: BodyFrame, value: Any, folder: Path, model: Model
-    ) -> BodyFrame:
+    def measured(self, effector: BodyFrame, value: Any, model: Model) -> BodyFrame:
         """Return the frame with the motion of its body.
 
         Where the measurement has a covariance, it adds to the stated deviations.
@@ -321,7 +317,7 @@ class BodyFrameTable(EffectorTable):
         rest = effector.point
         if rest is None:
             rest = bodies.origin[bodies.names.index(effector.body)]
-        pose, covariance = value.motion(folder, self.base.pose, self.orientation, rest)
+        pose, covariance = value.motion(self.base.pose, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
         std, std_angle = np.sqrt(np.diag(covariance)).reshape(2, 3)

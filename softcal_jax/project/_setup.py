@@ -81,8 +81,7 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The validation context is the schema of the material, which lists its constants, or
-    None if the law is unknown.
+    The schema of the material, in the `Context`, lists its constants.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -112,7 +111,7 @@ class ParameterTable(Table):
     @field_validator("field")
     @classmethod
     def _check_field(cls, value: str, info: Any) -> str:
-        material = info.context
+        material = info.context.material
         if material is not None and value not in material.constants:
             known = one_of(value, material.constants)
             elsewhere = material.foreign(value)
@@ -227,7 +226,7 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
 
 def _constant(info: Any) -> Constant | None:
     """Return the constant of a parameter; None if its field or the law is wrong."""
-    material = info.context
+    material = info.context.material
     return None if material is None else material.constants.get(info.data.get("field"))
 
 

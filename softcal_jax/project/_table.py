@@ -13,7 +13,15 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 import equinox as eqx
 from pydantic import (
@@ -233,6 +241,26 @@ class Table(BaseModel):
 def _at(key: str, text: str) -> InitErrorDetails:
     error = {"error": ValueError(text)}
     return InitErrorDetails(type="value_error", loc=(key,), input=None, ctx=error)
+
+
+class Context(NamedTuple):
+    """What tables are read with: the folder of the file, and the table of its law.
+
+    The latter is None if the law is unknown.
+    """
+
+    folder: Path
+    material: Any = None
+
+
+def _in_folder(value: Any, info: Any) -> Path:
+    if not isinstance(value, str):
+        raise ValueError(f"got {shown(value)}; expected a text in quotes.")
+    return info.context.folder / value
+
+
+File = Annotated[Path, BeforeValidator(_in_folder)]
+"""A file that a project file names, relative to itself; as read, with its folder."""
 
 
 class Maker(Table):

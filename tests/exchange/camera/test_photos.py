@@ -181,6 +181,7 @@ def test_a_project_with_photographs(pose, tmp_path):
 def test_motion_between_two_poses(pose, tmp_path):
     """The mounting of the tag cancels, and both covariances count."""
     from softcal_jax.project._sensors import OrientationTable, PhotosTable
+    from softcal_jax.project._table import Context
 
     for name, indices in (("a", (0, 1, 2)), ("b", (1, 2, 3))):
         (tmp_path / name).mkdir()
@@ -194,9 +195,10 @@ def test_motion_between_two_poses(pose, tmp_path):
             "base_tag": BASE,
             "size": "20 mm",
             "displacement_from": {"photos": "a/*.jpg"},
-        }
+        },
+        context=Context(tmp_path),
     )
-    motion, covariance = table.motion(tmp_path, Pose(), OrientationTable(), np.zeros(3))
+    motion, covariance = table.motion(Pose(), OrientationTable(), np.zeros(3))
     one, two = (
         tag_pose(sorted((tmp_path / n).iterdir()), tag=TAG, base_tag=BASE, size=SIZE)
         for n in "ab"
