@@ -26,6 +26,7 @@ from softcal_jax.project._project import (
 from softcal_jax.project._quantities import (
     Integer as Integer,
     parse_in_si as parse_in_si,
+    parse_share as parse_share,
     recognised as recognised,
 )
 from softcal_jax.project._reading import (
@@ -34,7 +35,6 @@ from softcal_jax.project._reading import (
     read_schema as read_schema,
     read_toml as read_toml,
 )
-from softcal_jax.project._setup import parse_share as parse_share
 from softcal_jax.project._table import (
     ProjectError as ProjectError,
     Table as Table,

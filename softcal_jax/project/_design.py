@@ -6,12 +6,11 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.actuators import Kind
 from softcal_jax.configurations import (
     LOADS,
     AbstractEffector,
@@ -41,7 +40,6 @@ from softcal_jax.project._mechanism import (
 )
 from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._sensors import Effectors, WrittenPoseTable, build_effectors
-from softcal_jax.project._setup import Share, ShareOrEstimated
 from softcal_jax.project._table import (
     Choice,
     File,
@@ -64,6 +62,9 @@ def _load_table(value: Any, _: Any) -> type[Maker]:
     return by_keys(value, [table_of(kind, name=_Name) for kind in LOADS])
 
 
+RelativeStd = Annotated[
+    float | Literal["estimated"], BeforeValidator(typed.deviation("%", "estimated"))
+]
 SupportTable = Annotated[Maker, only(Support)]
 LoadTable = Annotated[Maker, Choice(_load_table)]
 
@@ -71,6 +72,11 @@ LoadTable = Annotated[Maker, Choice(_load_table)]
 class GravityTable(Table):
     size: typed.AccelerationSize = Field(description='"9.81 m/s^2"')
     direction: typed.Direction = Field(description='"-z", or [0, 0, -1]')
+
+    @property
+    def acceleration(self) -> typed.Triple:
+        x, y, z = (self.size * v for v in self.direction)
+        return x, y, z
 
 
 class CandidateTable(Table):
@@ -86,15 +92,7 @@ class CandidateTable(Table):
     effectors: tuple[str, ...] | None = None
     actuation: dict[str, Any] = Field(default_factory=dict)
     bodies: dict[str, State] = Field(default_factory=dict)
-    relative_std: ShareOrEstimated = 0.0
-
-    @property
-    def acceleration(self) -> typed.Triple:
-        """Gravity [m/s2]."""
-        if not isinstance(self.gravity, GravityTable):
-            return self.gravity
-        x, y, z = (self.gravity.size * v for v in self.gravity.direction)
-        return x, y, z
+    relative_std: RelativeStd = 0.0
 
 
 class ConfigurationTable(CandidateTable):
@@ -154,13 +152,16 @@ def build_configuration(
             known_name("effector", name, followed, "[effectors]")
             read = project.effectors[name].measured
             followed[name] = read(followed[name], value, model)
+    gravity = table.gravity
+    if isinstance(gravity, GravityTable):
+        gravity = gravity.acceleration
     reference = None if measured is None else measured.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
     configuration = Configuration(
         name=table.name,
         supports=supports,
-        gravity=table.acceleration,
+        gravity=gravity,
         loads=loads,
         markers=seen.markers,
         measured=seen.positions,
@@ -224,10 +225,10 @@ class DesignTable(Table):
     foam: Infill | Literal["none"] = "none"
     table: File | None = None
     solid_modulus: typed.Modulus = TPU
-    modulus_error: Share = Printing().moduli
+    modulus_error: typed.Share = Printing().moduli
     angle_error: typed.Angle = Printing().angle
     robust: typed.Flag = False
-    modulus_change: Share | None = None
+    modulus_change: typed.Share | None = None
     angle_change: typed.Angle | None = None
     largest_stretch: typed.Number | None = None
     largest_stress: typed.Modulus | None = None
@@ -262,9 +263,7 @@ def build_design(table: WholeFile, goals: tuple[Configuration, ...]) -> DesignTa
     limits: dict[str, Limits] = {}
     for name, text in asked.limits.items():
         with under(f"limits.{name}"):
-            known_name("actuator", name, table.actuators, "[actuators]")
-            kind = table.actuators[name].makes.kind
-            limits[name] = replace(Limits(), **limited(kind, text))
+            limits[name] = replace(Limits(), **limited(table.actuators, name, text))
     given = asked.model_fields_set & {"table", "solid_modulus"}
     of_own = asked.foam != "Polyfoam" or "table" in given
     if ("solid_modulus" in given and of_own) or (given and asked.foam == "none"):
@@ -317,12 +316,14 @@ def with_goals(
     return replace(with_marker_goals(configuration, places), effectors=tuple(aimed))
 
 
-def limited(kind: Kind, text: str) -> dict[str, tuple[float, float]]:
-    """Parse limits; their unit says whether they are of force or displacement."""
+def limited(
+    tables: Mapping[str, Maker], name: str, text: str
+) -> dict[str, tuple[float, float]]:
+    """Parse limits of an actuator; the unit tells force from displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
         raise ValueError(f'got {text!r}; expected lowest to highest: "0 N to 5 N".')
-    low, high = (imposed_on(kind, end) for end in ends)
+    low, high = (imposed_on(tables, name, end) for end in ends)
     if type(low) is not type(high):
         raise ValueError(
             f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected both in "

@@ -20,7 +20,7 @@ from softcal_jax.project._design import limited, with_goals
 from softcal_jax.project._mechanism import imposed_on
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import Keys, read_tables, read_toml, with_changes
-from softcal_jax.project._table import known_name, under
+from softcal_jax.project._table import under
 
 
 def inverse_as_typed(
@@ -61,13 +61,11 @@ def inverse_as_typed(
     actuation: dict[str, Any] = {**posed.actuation}
     for name, text in starts.items():
         with under(f"start of {name!r}"):
-            known_name("actuator", name, table.actuators, "[actuators]")
-            actuation[name] = imposed_on(table.actuators[name].makes.kind, text)
+            actuation[name] = imposed_on(table.actuators, name, text)
     ranges: dict[str, Limits] = {}
     for name, text in limits:
         with under(f"limit of {name!r}"):
-            known_name("actuator", name, table.actuators, "[actuators]")
-            limits_of = limited(table.actuators[name].makes.kind, text)
+            limits_of = limited(table.actuators, name, text)
         ranges[name] = replace(ranges.get(name, Limits()), **limits_of)
     return replace(posed, actuation=actuation), ranges
 

@@ -64,8 +64,13 @@ class _OfLaw(Table):
     @classmethod
     def foreign(cls, key: str) -> str:
         """Say which laws have a key that this one lacks; empty if there are none."""
-        owners = " or ".join(_owners(key))
-        return f" {key} belongs to {owners}." if owners else ""
+        has = lambda kind: key in _recipe(kind, None).keys
+        chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
+        owners = [
+            *(f'elasticity = "{k}"' for k, kind in ELASTICITIES.items() if has(kind)),
+            *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
+        ]
+        return f" {key} belongs to {' or '.join(owners)}." if owners else ""
 
 
 class Material(_OfLaw):
@@ -255,16 +260,6 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             )
         keys |= more
     return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
-
-
-def _owners(key: str) -> list[str]:
-    """List the laws and elasticities with a key, each as a file chooses it."""
-    has = lambda kind: key in _recipe(kind, None).keys
-    chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
-    return [
-        *(f'elasticity = "{name}"' for name, kind in ELASTICITIES.items() if has(kind)),
-        *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
-    ]
 
 
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:

@@ -11,12 +11,11 @@ from softcal_jax._process import check_process
 from softcal_jax._text import check_unique
 from softcal_jax.calibration import ProjectSource
 from softcal_jax.configurations import (
-    Configuration,
     build_mechanism,
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model, build_model
-from softcal_jax.fields import Uncertain, check_parameters
+from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh, mesh_files
 from softcal_jax.project._design import Posed, build_configuration, build_design
 from softcal_jax.project._plausible import (
@@ -73,9 +72,11 @@ def load_project(
     table = read_tables(path, changes)
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
-        check_bearable(project.model, _posed(project))
+        posed = {f"configurations.{c.name}": c for c in project.configurations}
+        posed |= {f"candidates.{c.name}": c for c in project.candidates}
+        check_bearable(project.model, posed)
     if changes is None:  # a sweep would repeat it for each of its changes
-        lines = [*implausible(project.model, _posed(project))]
+        lines = [*implausible(project.model, posed)]
         guesses = len(guesses_left(path))
         if guesses:
             lines.append(
@@ -99,12 +100,6 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
     table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
-
-
-def _posed(project: Project) -> dict[str, Configuration]:
-    """Return configurations and candidates by their keys."""
-    posed = {f"configurations.{c.name}": c for c in project.configurations}
-    return posed | {f"candidates.{c.name}": c for c in project.candidates}
 
 
 def _built(
@@ -141,7 +136,7 @@ def _built(
         candidates=tuple(c for c, _ in candidates),
         asked=asked,
         **table.settings.model_dump(include=of_project),
-        uncertain=Uncertain(**table.uncertain.model_dump()),
+        uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
         source=ProjectSource.of(path, _files(table), changes),

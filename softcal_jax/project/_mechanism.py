@@ -115,8 +115,12 @@ _actuator = lambda kind: table_of(kind, "name", type=str)
 AnyActuator = Annotated[Maker, of_type(actuators.ACTUATORS, _actuator)]
 
 
-def imposed_on(kind: actuators.Kind, value: Any) -> ImposedForce | ImposedDisplacement:
+def imposed_on(
+    tables: Mapping[str, Maker], name: str, value: Any
+) -> ImposedForce | ImposedDisplacement:
     """Parse what is imposed on an actuator; the unit tells force from displacement."""
+    known_name("actuator", name, tables, "[actuators]")
+    kind: actuators.Kind = tables[name].makes.kind
     releasing, given = False, value
     if isinstance(value, dict):  # a cable with friction: which way it last moved
         unknown = set(value) - {"value", "releasing"}
@@ -143,7 +147,6 @@ def build_actuation(
     imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):
-            known_name("actuator", actuator, tables, "[actuators]")
-            imposed[actuator] = imposed_on(tables[actuator].makes.kind, value)
+            imposed[actuator] = imposed_on(tables, actuator, value)
             actuation_arrays(mechanism, {actuator: imposed[actuator]}, name)
     return imposed

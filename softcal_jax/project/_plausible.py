@@ -104,13 +104,6 @@ def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[st
     yield from _turning_back(model)
     if not posed:
         return
-    yield from islice(_gravity(posed), 1)
-    yield from _stiffness(model, posed)
-    misread = (_misread(model, seen) for seen in _seen(model, posed))
-    yield from islice(chain.from_iterable(misread), 1)
-
-
-def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
     low, high = GRAVITIES
     for key, c in posed.items():
         size = float(np.linalg.norm(c.gravity))
@@ -119,6 +112,10 @@ def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
                 f"{key}.gravity: {readable_values(c.gravity, 'm/s^2')} is "
                 f"{size / STANDARD_GRAVITY:.3g} times the Earth's: check its unit."
             )
+            break
+    yield from _stiffness(model, posed)
+    misread = (_misread(model, seen) for seen in _seen(model, posed))
+    yield from islice(chain.from_iterable(misread), 1)
 
 
 def _rounded(value: float, unit: str) -> str:
@@ -202,8 +199,8 @@ class _Seen(NamedTuple):
 
     def moved(self, i: int) -> str:
         """Write which point moved, and how far."""
-        size = readable_values([float(np.linalg.norm(self.u[i]))], "m", digits=3)
-        return f"{self.points[i].name!r} by {size}"
+        size = float(np.linalg.norm(self.u[i]))
+        return f"{self.points[i].name!r} by {_rounded(size, 'm')}"
 
 
 def _seen(model: Model, posed: Mapping[str, Configuration]) -> Iterator[_Seen]:

@@ -53,6 +53,7 @@ _NUMBER = r"[+-]?(?:inf|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
 _NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
 # Only products and quotients of named units reach pint's own parser.
 _UNIT = re.compile(rf"{_NAME}(?:(?:\s*[*/·]\s*|\s+){_NAME})*")
+_SHARE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 _SCALAR = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 _VECTOR = re.compile(r"\s*[(\[](.*)[)\]]\s*(.*?)\s*")
 
@@ -130,12 +131,22 @@ def parse_number(value: Any) -> float:
     return float(value)
 
 
+def parse_share(value: Any) -> float:
+    """Parse a share of a value, "3 %"; raise ValueError if it is none."""
+    match = _SHARE.fullmatch(value) if isinstance(value, str) else None
+    if not match:
+        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
+    return 0.01 * float(match[1])
+
+
 def parse_in_si(value: Any, unit: str) -> float:
-    """Parse "200 kPa", or a plain number where `unit` is empty, into the SI unit.
+    """Parse "200 kPa" into the SI unit: "%" for a share, "" for a plain number.
 
     Raises:
         ValueError: If it is not such a value; the text shows an example.
     """
+    if unit == "%":
+        return parse_share(value)
     return parse_scalar(value, dimension_of(unit)) if unit else parse_number(value)
 
 
@@ -163,15 +174,26 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
     return x, y, z
 
 
-def scalar(dimension: Dimension, size: Size = "any") -> Callable[[Any], float]:
-    """Return a parser of quantities of one dimension, and of a size."""
-    return lambda value: _of_size((parse_scalar(value, dimension),), size, value)[0]
+def scalar(unit: str, size: Size = "any") -> Callable[[Any], float]:
+    """Return a parser of quantities like those of `parse_in_si`, of a size."""
+    return lambda value: _of_size((parse_in_si(value, unit),), size, value)[0]
 
 
-def vector(
-    dimension: Dimension, size: Size = "finite"
-) -> Callable[[Any], tuple[float, ...]]:
-    """Return a parser of vectors of one dimension, each component of a size."""
+def deviation(unit: str, *words: str) -> Callable[[Any], float | str]:
+    """Return a parser of sizes in a unit, or of `words`; zero needs no unit."""
+    parse = scalar(unit, "not negative")
+
+    def parsed(value: Any) -> float | str:
+        if value in words:
+            return value
+        return 0.0 if is_number(value) and value == 0 else parse(value)
+
+    return parsed
+
+
+def vector(unit: str, size: Size = "finite") -> Callable[[Any], tuple[float, ...]]:
+    """Return a parser of vectors in a unit, each component of a size."""
+    dimension = dimension_of(unit)
     return lambda value: _of_size(parse_vector(value, dimension), size, value)
 
 
@@ -213,17 +235,18 @@ Integer = Annotated[int, Strict()]
 Flag = Annotated[bool, Strict()]
 Triple = tuple[float, float, float]
 
-Length = Annotated[float, BeforeValidator(scalar(LENGTH, "not negative"))]
-PositiveLength = Annotated[float, BeforeValidator(scalar(LENGTH, "positive"))]
-Density = Annotated[float, BeforeValidator(scalar(DENSITY, "not negative"))]
-Modulus = Annotated[float, BeforeValidator(scalar(PRESSURE, "positive"))]
-Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
-Time = Annotated[float, BeforeValidator(scalar(TIME))]
-AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
-Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
-Extent = Annotated[Triple, BeforeValidator(vector(LENGTH, "positive"))]
-Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
-RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
+Length = Annotated[float, BeforeValidator(scalar("m", "not negative"))]
+PositiveLength = Annotated[float, BeforeValidator(scalar("m", "positive"))]
+Density = Annotated[float, BeforeValidator(scalar("kg/m3", "not negative"))]
+Modulus = Annotated[float, BeforeValidator(scalar("Pa", "positive"))]
+Angle = Annotated[float, BeforeValidator(scalar("rad"))]
+Time = Annotated[float, BeforeValidator(scalar("s"))]
+Share = Annotated[float, BeforeValidator(deviation("%"))]
+AccelerationSize = Annotated[float, BeforeValidator(scalar("m/s2"))]
+Position = Annotated[Triple, BeforeValidator(vector("m"))]
+Extent = Annotated[Triple, BeforeValidator(vector("m", "positive"))]
+Acceleration = Annotated[Triple, BeforeValidator(vector("m/s2"))]
+RotationVector = Annotated[Triple, BeforeValidator(vector("rad"))]
 Direction = Annotated[Triple, BeforeValidator(parse_direction)]
 
 Names = Annotated[

@@ -28,7 +28,6 @@ from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
     parse_vector,
-    scalar,
     shown,
 )
 from softcal_jax.project._table import (
@@ -283,7 +282,7 @@ class EffectorTable(Maker):
         if not isinstance(std, str):
             return effector
         with under("std"):
-            return replace(effector, std=scalar(dimension_of(unit), "positive")(std))
+            return replace(effector, std=typed.scalar(unit, "positive")(std))
 
     def measured(self, effector: Any, value: Any, model: Model) -> AbstractEffector:
         """Return the effector with its measured value."""

@@ -4,9 +4,6 @@ The last two are made from `softcal_jax.fields.KINDS`; to add a kind, write a ro
 """
 
 import dataclasses
-import re
-from collections.abc import Callable
-from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -20,23 +17,8 @@ from pydantic import (
 
 from softcal_jax import fields
 from softcal_jax._text import check_unique
-from softcal_jax.fields import (
-    ControlPointParameters,
-    ControlPoints,
-    Entry,
-    Parameter,
-    ParameterSpace,
-    check_names,
-)
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._laws import Constant
-from softcal_jax.project._quantities import (
-    dimension_of,
-    is_number,
-    parse_in_si,
-    scalar,
-    shown,
-)
 from softcal_jax.project._table import (
     Choice,
     Table,
@@ -45,6 +27,7 @@ from softcal_jax.project._table import (
     by_keys,
     known_name,
     one_of,
+    table_of,
     under,
 )
 
@@ -71,11 +54,11 @@ class ControlPointsTable(Table):
             raise ValueError("`positions` names its points: leave `names` out.")
         return self
 
-    def build(self) -> ControlPoints:
+    def build(self) -> fields.ControlPoints:
         positions = self.positions
         if not isinstance(positions, dict):
             positions = np.array(positions, float).reshape(-1, 3)
-        return ControlPoints(positions, **self.model_dump(exclude={"positions"}))
+        return fields.ControlPoints(positions, **self.model_dump(exclude={"positions"}))
 
 
 class ParameterTable(Table):
@@ -164,7 +147,7 @@ class ParameterTable(Table):
                 )
         return self
 
-    def build(self, project: WholeFile) -> Entry:
+    def build(self, project: WholeFile) -> fields.Entry:
         constant = type(project.material).constants[self.field]
         common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
         common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
@@ -179,7 +162,7 @@ class ParameterTable(Table):
             # An axis at -90 degrees is the same as at +90.
             half_turn = np.isclose(span["upper"] - span["lower"], np.pi)
             span["periodic"] = constant.unit == "rad" and bool(half_turn)
-            return Parameter(self.label, self.field, **span, **common)
+            return fields.Parameter(self.label, self.field, **span, **common)
         known_name("set", self.control_points, sets, "[control_points]")
         points = sets[self.control_points].build()
         free = [n for n in points.names if n not in {*self.fixed, *self.tied}]
@@ -187,7 +170,7 @@ class ParameterTable(Table):
             span[key] = _each(key, value, points.names, free, nominal)
         # +90 and -90 degrees are the same axis, so their mean is not 0.
         usual = "director" if constant.unit == "rad" else "linear"
-        return ControlPointParameters(
+        return fields.ControlPointParameters(
             self.field,
             points,
             **span,
@@ -202,12 +185,12 @@ class ParameterSpaceTable(Table):
     axes: tuple[tuple[str, str, str], ...] = ()
 
 
-def build_space(table: WholeFile) -> ParameterSpace | None:
+def build_space(table: WholeFile) -> fields.ParameterSpace | None:
     """Build the parameter space; None if nothing is to be calibrated."""
     for name, points in table.control_points.items():
         with under(f"control_points.{name}"):
             points.build()
-    entries: list[Entry] = []
+    entries: list[fields.Entry] = []
     for parameter in table.parameters:
         with under(f"parameters.{parameter.label}"):
             entries.append(parameter.build(table))
@@ -218,10 +201,10 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
     if not entries:
         return None
     with under("parameters"):
-        check_names(tuple(entries))
-    between = table.parameter_space
+        fields.check_names(tuple(entries))
     with under("parameter_space"):
-        return ParameterSpace(tuple(entries), order=between.order, axes=between.axes)
+        between = table.parameter_space.model_dump()
+        return fields.ParameterSpace(tuple(entries), **between)
 
 
 def _constant(info: Any) -> Constant | None:
@@ -246,50 +229,20 @@ def _each(
     return [value.get(name, spare) for name in names]
 
 
-_PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
-
-
-def _parser(unit: str, *, estimated: bool) -> Callable[[Any], float | str]:
-    """Return a parser of values in an SI unit or in "%"; zero needs neither."""
-    parse = parse_share if unit == "%" else scalar(dimension_of(unit), "not negative")
-
-    def parsed(value: Any) -> float | str:
-        if is_number(value) and value == 0:
-            return 0.0
-        return value if estimated and value == "estimated" else parse(value)
-
-    return parsed
-
-
-def parse_share(value: Any) -> float:
-    """Parse a share of a value, "3 %"; raise ValueError if it is none."""
-    match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
-    if not match:
-        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
-    return 0.01 * float(match[1])
-
-
-ShareOrEstimated = Annotated[
-    float | Literal["estimated"], BeforeValidator(_parser("%", estimated=True))
-]
-
-
-Share = Annotated[float, BeforeValidator(_parser("%", estimated=False))]
-
-
-def _type_of(kind: Any, unit: str) -> Any:
+def _deviation(field: dataclasses.Field) -> Any:
+    kind, unit = field.type, field.metadata["unit"]
     if not unit:
         return Annotated[typed.Number, Field(ge=0, allow_inf_nan=False)]
-    return Annotated[kind, BeforeValidator(_parser(unit, estimated=kind is not float))]
+    words = () if kind is float else ("estimated",)
+    return Annotated[kind, BeforeValidator(typed.deviation(unit, *words))]
 
 
-_KEYS: dict[str, Any] = {
-    field.name: (_type_of(field.type, field.metadata["unit"]), field.default)
-    for field in dataclasses.fields(fields.Uncertain)
-}
+_STDS = {f.name: _deviation(f) for f in dataclasses.fields(fields.Uncertain)}
 
 
-class UncertainTable(create_model("UncertainTable", __base__=Table, **_KEYS)):
+class UncertainTable(
+    table_of(fields.Uncertain, **_STDS)  # pyright: ignore[reportArgumentType] (a class)
+):
     """Its keys are the fields of `Uncertain`, whose docstring explains them."""
 
 
@@ -352,7 +305,7 @@ def _table(kind: fields.Kind) -> type[SetupTable]:
     keys[kind.name] = (names if kind.noun else Literal[True], ...)
     for part in kind.parts:
         unit = "" if part.relative else part.unit
-        size = Annotated[float | None, BeforeValidator(partial(_positive, unit=unit))]
+        size = Annotated[float | None, BeforeValidator(typed.scalar(unit, "positive"))]
         usual = None if len(kind.parts) > 1 else kind.limit if kind.relative else ...
         example = 'largest error looked for: "3 deg", "2 mm"'
         keys[f"{part.prefix}limit"] = (size, Field(usual, description=example))
@@ -360,13 +313,6 @@ def _table(kind: fields.Kind) -> type[SetupTable]:
     table = create_model("Setup", __base__=SetupTable, **keys)
     table.kind = kind
     return table
-
-
-def _positive(value: Any, unit: str) -> float:
-    number = parse_in_si(value, unit)
-    if not number > 0.0:
-        raise ValueError(f'got "{value}"; expected more than zero.')
-    return number
 
 
 _TABLES = [_table(fields.KINDS[name]) for name in fields.FUNCTIONS]

@@ -40,7 +40,7 @@ from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 from softcal_jax import _text
 from softcal_jax._text import shortened, with_short_names
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._quantities import dimension_of, shown
+from softcal_jax.project._quantities import shown
 
 _EXPECTED = {
     "string_type": "a text in quotes",
@@ -342,8 +342,7 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
     result, parser = float, typed.scalar
     if shape == "3":
         result, parser = typed.Triple, typed.vector
-    parse = parser(dimension_of(unit), metadata["size"])
-    return Annotated[result, BeforeValidator(parse)]
+    return Annotated[result, BeforeValidator(parser(unit, metadata["size"]))]
 
 
 def _first(hint: Any) -> Any:
