@@ -43,9 +43,8 @@ from softcal_jax.project import (
     Project,
     Table,
     _design,
-    _mechanism,
-    _mesh,
     _reading,
+    _robot,
     _sensors,
     _setup,
     toml_value,
@@ -192,26 +191,26 @@ class Section(NamedTuple):
 def sections() -> Iterator[Section]:
     """List the tables, in the order in which a file has them."""
     yield Section("The file", _reading.ProjectTable)
-    yield Section("[mesh], a mesh file", _mesh.MeshFileTable, (mesh.read_mesh,))
-    yield Section("[mesh], a CAD model", _mesh.CadMeshTable, (mesh_cad,))
-    yield Section("[mesh], a box", _mesh.BeamMeshTable)
-    yield Section("beam in [mesh]", _mesh.BeamTable, (mesh.beam,))
-    yield Section("[groups.NAME]", _mesh.GroupTable)
-    for key, field in _mesh.GroupTable.model_fields.items():
+    yield Section("[mesh], a mesh file", _robot.MeshFileTable, (mesh.read_mesh,))
+    yield Section("[mesh], a CAD model", _robot.CadMeshTable, (mesh_cad,))
+    yield Section("[mesh], a box", _robot.BeamMeshTable)
+    yield Section("beam in [mesh]", _robot.BeamTable, (mesh.beam,))
+    yield Section("[groups.NAME]", _robot.GroupTable)
+    for key, field in _robot.GroupTable.model_fields.items():
         for table in get_args(field.annotation):
             if isinstance(table, type) and issubclass(table, Table):
                 yield Section(f"{key} in [groups.NAME]", table)
     yield Section("[material]", Material, (build_model,))
     yield from _laws()
-    for name, table in _mesh.DIRECTIONS.items():
+    for name, table in _robot.DIRECTIONS.items():
         yield Section(f'directions in [material], type = "{name}"', table)
-    yield Section("[bodies.NAME]", _mechanism.BodyTable)
+    yield Section("[bodies.NAME]", _robot.BodyTable)
     yield Section("mounting in [bodies.NAME]", table_of(Pose))
     for name in (*SHAPES, "surface"):
-        table = _of_type(_mechanism.AnyShape, name)
+        table = _of_type(_robot.AnyShape, name)
         yield Section(f'shape in [bodies.NAME], type = "{name}"', table)
     for name in ACTUATORS:
-        table = _of_type(_mechanism.AnyActuator, name)
+        table = _of_type(_robot.AnyActuator, name)
         yield Section(f'[actuators.NAME], type = "{name}"', table)
     yield Section("An entry of guides", table_of(Guide))
     for name in EFFECTORS:
@@ -230,7 +229,7 @@ def sections() -> Iterator[Section]:
     yield Section("An entry of supports", table_of(Support))
     for load in LOADS:
         yield Section(f"An entry of loads, {load.__name__}", table_of(load))
-    yield Section("A state in bodies", _mechanism.BodyStateTable, (BodyState,))
+    yield Section("A state in bodies", _robot.BodyStateTable, (BodyState,))
     yield Section("measured in [[configurations]]", MeasuredTable, (read_markers,))
     yield Section("A window of time, for select", WindowTable)
     yield Section("registration in measured", RegistrationTable)

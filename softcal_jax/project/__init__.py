@@ -24,7 +24,6 @@ from softcal_jax.project._project import (
     projects_by_name as projects_by_name,
 )
 from softcal_jax.project._quantities import (
-    Integer as Integer,
     parse_in_si as parse_in_si,
     parse_share as parse_share,
     recognised as recognised,

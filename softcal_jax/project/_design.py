@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, StrictBool, StrictFloat, field_validator
 
+from softcal_jax import designs
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
@@ -19,26 +20,16 @@ from softcal_jax.configurations import (
     Support,
 )
 from softcal_jax.control import Limits, with_marker_goals
-from softcal_jax.designs import (
-    TPU,
-    Change,
-    FoamTable,
-    Infill,
-    PeakLimits,
-    Printing,
-    foam_table,
-    published_foam,
-)
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
-from softcal_jax.project._mechanism import (
+from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._robot import (
     State,
     build_actuation,
     build_states,
     imposed_on,
 )
-from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._sensors import Effectors, WrittenPoseTable, build_effectors
 from softcal_jax.project._table import (
     Choice,
@@ -58,15 +49,14 @@ from softcal_jax.project._table import (
 _Name = Annotated[str, Field(min_length=1)]
 
 
-def _load_table(value: Any, _: Any) -> type[Maker]:
-    return by_keys(value, [table_of(kind, name=_Name) for kind in LOADS])
-
-
 RelativeStd = Annotated[
     float | Literal["estimated"], BeforeValidator(typed.deviation("%", "estimated"))
 ]
 SupportTable = Annotated[Maker, only(Support)]
-LoadTable = Annotated[Maker, Choice(_load_table)]
+LoadTable = Annotated[
+    Maker,
+    Choice(lambda value, _: by_keys(value, [table_of(k, name=_Name) for k in LOADS])),
+]
 
 
 class GravityTable(Table):
@@ -115,10 +105,7 @@ Posed = tuple[Configuration, MeasuredMarkers]
 
 
 def build_configuration(
-    table: CandidateTable,
-    project: WholeFile,
-    model: Model,
-    effectors: Effectors,
+    table: CandidateTable, project: WholeFile, model: Model, effectors: Effectors
 ) -> Posed:
     """Build a configuration or candidate, with what was measured.
 
@@ -182,9 +169,7 @@ def build_configuration(
 
 
 def _markers_of(
-    table: CandidateTable,
-    source: MeasuredTable | None,
-    every: MarkersTable | None,
+    table: CandidateTable, source: MeasuredTable | None, every: MarkersTable | None
 ) -> MeasuredMarkers:
     """Build the markers of a pose, and read where they were measured."""
     reads = source is not None and source.file is not None
@@ -222,15 +207,15 @@ class DesignTable(Table):
     goal that is a tolerance off.
     """
 
-    foam: Infill | Literal["none"] = "none"
+    foam: designs.Infill | Literal["none"] = "none"
     table: File | None = None
-    solid_modulus: typed.Modulus = TPU
-    modulus_error: typed.Share = Printing().moduli
-    angle_error: typed.Angle = Printing().angle
-    robust: typed.Flag = False
+    solid_modulus: typed.Modulus = designs.TPU
+    modulus_error: typed.Share = designs.Printing().moduli
+    angle_error: typed.Angle = designs.Printing().angle
+    robust: StrictBool = False
     modulus_change: typed.Share | None = None
     angle_change: typed.Angle | None = None
-    largest_stretch: typed.Number | None = None
+    largest_stretch: StrictFloat | None = None
     largest_stress: typed.Modulus | None = None
     limits: dict[str, str] = Field(default_factory=dict)
 
@@ -250,10 +235,10 @@ class DesignTask(Module):
 
     goals: tuple[Configuration, ...]
     limits: dict[str, Limits]
-    foam: FoamTable | None
-    largest: PeakLimits
-    change: Change | None
-    printing: Printing
+    foam: designs.FoamTable | None
+    largest: designs.PeakLimits
+    change: designs.Change | None
+    printing: designs.Printing
     robust: bool
 
 
@@ -273,10 +258,10 @@ def build_design(table: WholeFile, goals: tuple[Configuration, ...]) -> DesignTa
         )
     foam = None
     if "solid_modulus" in given:
-        foam = published_foam(asked.solid_modulus)
+        foam = designs.published_foam(asked.solid_modulus)
     elif asked.foam != "none":
         with under("table"):
-            foam = foam_table(asked.foam, asked.table)
+            foam = designs.foam_table(asked.foam, asked.table)
     changes = {"moduli": asked.modulus_change, "angle": asked.angle_change}
     peaks = {"stretch": asked.largest_stretch, "stress": asked.largest_stress}
     stated = lambda values: {k: v for k, v in values.items() if v is not None}
@@ -284,9 +269,9 @@ def build_design(table: WholeFile, goals: tuple[Configuration, ...]) -> DesignTa
         goals,
         limits,
         foam,
-        PeakLimits(**stated(peaks)),
-        Change(**stated(changes)) if stated(changes) else None,
-        Printing(asked.modulus_error, asked.angle_error),
+        designs.PeakLimits(**stated(peaks)),
+        designs.Change(**stated(changes)) if stated(changes) else None,
+        designs.Printing(asked.modulus_error, asked.angle_error),
         asked.robust,
     )
 

@@ -17,9 +17,9 @@ from softcal_jax.control import Limits
 from softcal_jax.designs import DesignResult, Printing
 from softcal_jax.fields import ControlPointParameters, Entry, Parameter
 from softcal_jax.project._design import limited, with_goals
-from softcal_jax.project._mechanism import imposed_on
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import Keys, read_tables, read_toml, with_changes
+from softcal_jax.project._robot import imposed_on
 from softcal_jax.project._table import under
 
 

@@ -27,10 +27,11 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._mesh import AnyDirections, Frames, TetData
+from softcal_jax.project._robot import AnyDirections, Frames, TetData
 from softcal_jax.project._table import (
     Table,
     as_table,
+    entry_of,
     type_of,
     under,
     wrong_choice,
@@ -176,12 +177,11 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     keys: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
     constants: dict[str, Constant] = {}
     for key, (field, kind) in recipe.keys.items():
-        default = ... if field.default is dataclasses.MISSING else field.default
         if "unit" in field.metadata:
             constants[key] = _constant(field.metadata)
-        if aimed and default is ... and field in dataclasses.fields(Fibre):
-            default = 0.0
-        keys[key] = (kind, Field(default, description=field.metadata.get("words")))
+        entry = entry_of(field, kind)
+        needless = aimed and field in dataclasses.fields(Fibre) and entry.is_required()
+        keys[key] = kind, 0.0 if needless else entry
     others: dict[str, Any] = {k: (keys[k][0], None) for k in constants}
     others["density"] = (typed.Density, None)
     constants["density"] = _constant(DENSITY)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 
 from softcal_jax._files import once
 from softcal_jax._typing import Float, HostArray
@@ -185,7 +185,7 @@ class MeasuredTable(DialectTable):
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
     displacement_from: WhichOrName | None = None
-    scatter: typed.Flag = False
+    scatter: StrictBool = False
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator, Strict
+from pydantic import BeforeValidator
 
 from softcal_jax._module import Size
 from softcal_jax._text import shortened, suggestion
@@ -230,9 +230,6 @@ def parse_direction(value: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-Number = Annotated[float, Strict()]
-Integer = Annotated[int, Strict()]
-Flag = Annotated[bool, Strict()]
 Triple = tuple[float, float, float]
 
 Length = Annotated[float, BeforeValidator(scalar("m", "not negative"))]

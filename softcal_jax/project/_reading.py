@@ -13,7 +13,15 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
+from pydantic import (
+    BaseModel,
+    Field,
+    StrictFloat,
+    StrictInt,
+    ValidationError,
+    create_model,
+    field_validator,
+)
 
 from softcal_jax._files import check_file
 from softcal_jax._text import check_characters, escaped
@@ -23,9 +31,8 @@ from softcal_jax.fields import PRECISION, check_starts
 from softcal_jax.project._design import CandidateTable, ConfigurationTable, DesignTable
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
-from softcal_jax.project._mechanism import AnyActuator, BodyTable
-from softcal_jax.project._mesh import GroupTable, MeshTable
-from softcal_jax.project._quantities import Integer, Number, recognised
+from softcal_jax.project._quantities import recognised
+from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
     AnySetup,
@@ -58,10 +65,10 @@ class SettingsTable(table_of(CalibrationSettings, "least_fall", "least_cost")):
     """
 
     noise: Literal["estimated", "stated"] = "estimated"
-    starts: Integer | None = None
-    seed: Annotated[Integer, Field(ge=0)] = 0
-    intervals: Number | None = LEVEL
-    precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
+    starts: StrictInt | None = None
+    seed: Annotated[StrictInt, Field(ge=0)] = 0
+    intervals: StrictFloat | None = LEVEL
+    precision: Annotated[StrictFloat, Field(gt=0, allow_inf_nan=False)] = PRECISION
 
     @field_validator("intervals")
     @classmethod

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, StrictFloat, StrictInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from softcal_jax import configurations
@@ -23,13 +23,13 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.camera import find_photos, tag_pose
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
     parse_vector,
     shown,
 )
+from softcal_jax.project._robot import LengthUnit
 from softcal_jax.project._table import (
     Choice,
     File,
@@ -63,9 +63,7 @@ class OrientationTable(Table):
     azimuth: typed.Angle | None = None
     elevation: typed.Angle | None = None
     roll: typed.Angle | None = None
-    quaternion: tuple[typed.Number, typed.Number, typed.Number, typed.Number] | None = (
-        None
-    )
+    quaternion: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat] | None = None
     rotation_vector: typed.RotationVector | None = None
 
     @model_validator(mode="after")
@@ -201,7 +199,7 @@ class PolhemusFileTable(MotionSource):
     format: Literal["polhemus"]
     length_unit: LengthUnit = Field(description='unit of the tracker: "cm" or "inch"')
     angle_unit: Literal["deg", "rad"] = "deg"
-    station: typed.Integer | None = None
+    station: StrictInt | None = None
 
     def seen(self, base: Pose) -> Seen:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
@@ -232,8 +230,8 @@ class PhotosTable(MotionSource):
     """
 
     photos: Photos = Field(description='photographs: "pose1/*.jpg"', min_length=1)
-    tag: typed.Integer = Field(description="number of the tag on the rigid body: 3")
-    base_tag: typed.Integer = Field(description="number of the tag on the base: 0")
+    tag: StrictInt = Field(description="number of the tag on the rigid body: 3")
+    base_tag: StrictInt = Field(description="number of the tag on the base: 0")
     size: typed.PositiveLength = Field(description='side of the black square: "20 mm"')
     base_size: typed.PositiveLength | None = None
     board: Photos = ()

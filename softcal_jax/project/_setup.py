@@ -10,6 +10,8 @@ import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
+    StrictFloat,
+    StrictInt,
     create_model,
     field_validator,
     model_validator,
@@ -43,8 +45,8 @@ class ControlPointsTable(Table):
         "of positions"
     )
     names: tuple[str, ...] | None = None
-    power: typed.Number = 2.0
-    nearest: typed.Integer | None = None
+    power: StrictFloat = 2.0
+    nearest: StrictInt | None = None
     axes: str = "xyz"
     max_distance: typed.Length | None = None
 
@@ -76,7 +78,7 @@ class ParameterTable(Table):
     start: PerPoint | None = None
     scale: Literal["log", "linear"] | None = None
     S: float | None = None
-    max_step: typed.Number | None = None
+    max_step: StrictFloat | None = None
     interpolation: Literal["linear", "log", "director"] | None = None
     sampling: Literal["centroids"] | None = Field(
         default=None, description="only in older files; it does nothing"
@@ -232,7 +234,7 @@ def _each(
 def _deviation(field: dataclasses.Field) -> Any:
     kind, unit = field.type, field.metadata["unit"]
     if not unit:
-        return Annotated[typed.Number, Field(ge=0, allow_inf_nan=False)]
+        return Annotated[StrictFloat, Field(ge=0, allow_inf_nan=False)]
     words = () if kind is float else ("estimated",)
     return Annotated[kind, BeforeValidator(typed.deviation(unit, *words))]
 

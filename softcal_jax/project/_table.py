@@ -30,6 +30,9 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
     TypeAdapter,
     ValidationError,
     create_model,
@@ -306,16 +309,20 @@ def table_of(
         annotation = by_hand.get(field.name)
         if annotation is None:
             annotation = type_of(hints[field.name], field.metadata)
-        default: Any = {"default": field.default}
-        if field.default_factory is not dataclasses.MISSING:
-            default = {"default_factory": annotation}  # an empty table of a part
-        elif field.default is dataclasses.MISSING or field.metadata.get("required"):
-            default = {}
-        words = field.metadata.get("words") or None
-        keys[key] = annotation, Field(**default, description=words)
+        keys[key] = annotation, entry_of(field, annotation)
     table = create_model(kind.__name__, __base__=base, **keys)
     table.makes, table.key_of = kind, names
     return table
+
+
+def entry_of(field: dataclasses.Field, annotation: Any) -> Any:
+    """Return the entry of a field in a table: its default and its words."""
+    default: Any = {"default": field.default}
+    if field.default_factory is not dataclasses.MISSING:
+        default = {"default_factory": annotation}  # an empty table of a part
+    elif field.default is dataclasses.MISSING or field.metadata.get("required"):
+        default = {}
+    return Field(**default, description=field.metadata.get("words") or None)
 
 
 def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
@@ -334,11 +341,11 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
             return tuple[Annotated[table, BeforeValidator(whole)], ...]
         if isinstance(kind, type) and issubclass(kind, eqx.Module):
             return table_of(kind)
-        return {bool: typed.Flag, int: typed.Integer}.get(kind, kind)
+        return {bool: StrictBool, int: StrictInt}.get(kind, kind)
     shape = "3" if entry is float else getattr(kind, "dim_str", "")
     if not unit:
         axes = {"3": typed.Direction, "3 3": tuple[(typed.Direction,) * 3]}
-        return axes.get(shape, typed.Number)
+        return axes.get(shape, StrictFloat)
     result, parser = float, typed.scalar
     if shape == "3":
         result, parser = typed.Triple, typed.vector

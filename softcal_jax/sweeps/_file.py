@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, StrictInt
 
 from softcal_jax._files import similar_file
 from softcal_jax._places import PLANNED, TRIALS
@@ -19,7 +19,6 @@ from softcal_jax._units import is_number
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
 from softcal_jax.project import (
-    Integer,
     Project,
     ProjectError,
     Table,
@@ -61,8 +60,8 @@ class SweepTable(Table):
         description=f"a table [axes] of {', '.join(OWN_AXES)} or keys of the project"
     )
     name: str | None = None
-    seed: Integer = 0
-    sample: Integer | None = Field(None, ge=1)
+    seed: StrictInt = 0
+    sample: StrictInt | None = Field(None, ge=1)
     layouts: dict[str, dict[str, Any]] = Field(default_factory=dict)
     replaces: str | None = None
     truth: dict[str, Any] = Field(default_factory=dict)
