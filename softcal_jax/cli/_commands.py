@@ -174,9 +174,9 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
     with cli.bad_input():
         project.check_identify()
         if args.aim is not None:
-            from softcal_jax.project import parse_share
+            from softcal_jax.project import parse_in_si
 
-            project = replace(project, precision=parse_share(args.aim))
+            project = replace(project, precision=parse_in_si(args.aim, "%"))
     outlook = ranking = None
     blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     with cli.no_equilibrium("Nothing was written."):

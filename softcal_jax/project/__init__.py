@@ -25,7 +25,6 @@ from softcal_jax.project._project import (
 )
 from softcal_jax.project._quantities import (
     parse_in_si as parse_in_si,
-    parse_share as parse_share,
     recognised as recognised,
 )
 from softcal_jax.project._reading import (

@@ -125,20 +125,6 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
     )
 
 
-def parse_number(value: Any) -> float:
-    if not is_number(value):
-        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
-    return float(value)
-
-
-def parse_share(value: Any) -> float:
-    """Parse a share of a value, "3 %"; raise ValueError if it is none."""
-    match = _SHARE.fullmatch(value) if isinstance(value, str) else None
-    if not match:
-        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
-    return 0.01 * float(match[1])
-
-
 def parse_in_si(value: Any, unit: str) -> float:
     """Parse "200 kPa" into the SI unit: "%" for a share, "" for a plain number.
 
@@ -146,8 +132,15 @@ def parse_in_si(value: Any, unit: str) -> float:
         ValueError: If it is not such a value; the text shows an example.
     """
     if unit == "%":
-        return parse_share(value)
-    return parse_scalar(value, dimension_of(unit)) if unit else parse_number(value)
+        match = _SHARE.fullmatch(value) if isinstance(value, str) else None
+        if match is None:
+            raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
+        return 0.01 * float(match[1])
+    if unit:
+        return parse_scalar(value, dimension_of(unit))
+    if not is_number(value):
+        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
+    return float(value)
 
 
 def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:

@@ -25,7 +25,6 @@ from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
 from softcal_jax.project._table import (
     Choice,
     File,
@@ -344,7 +343,7 @@ def imposed_on(
         unknown = set(value) - {"value", "releasing"}
         if unknown or not isinstance(value.get("releasing", False), bool):
             raise ValueError(
-                f"got {shown(value)}; expected a table like "
+                f"got {typed.shown(value)}; expected a table like "
                 '{ value = "2 N", releasing = true }.'
             )
         releasing, given = value.get("releasing", False), value.get("value")
@@ -352,8 +351,10 @@ def imposed_on(
     for impose, unit in zip((ImposedForce, ImposedDisplacement), units, strict=True):
         with contextlib.suppress(ValueError):  # of the other dimension, or neither
             if unit is not None:
-                return impose(parse_scalar(given, dimension_of(unit)), releasing)
-    raise ValueError(f"got {shown(given)}; expected of a {kind.noun} {kind.imposed}.")
+                return impose(typed.parse_in_si(given, unit), releasing)
+    raise ValueError(
+        f"got {typed.shown(given)}; expected of a {kind.noun} {kind.imposed}."
+    )
 
 
 def build_actuation(

@@ -168,7 +168,7 @@ def test_a_project_with_photographs(pose, tmp_path):
 
     for old, new, message in (
         ("tag = 3", "tag = 7", "measured.effectors.sensor: photograph ... tag 7"),
-        ("shots/", "shot/", "no photograph ... 'shot/"),
+        ("shots/", "shot/", "sensor.photos: no photograph ... 'shot/"),
         ('size = "20 mm"', 'size = "20 s"', "measured.effectors.sensor.size"),
         (', size = "20 mm"', "", "sensor.size: missing ... black"),
         ("tag = 3, ", "tag = 3, sensor = 1, ", "measured.effectors.sensor.sensor: "),
