@@ -30,6 +30,7 @@ from softcal_jax.equilibrium import (
     build_model,
     solve_equilibrium,
 )
+from softcal_jax.exchange._formats import poses_of
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SofaRelease
 from softcal_jax.exchange.sofa._export import scene_data, write_scene
@@ -92,13 +93,11 @@ class Posed(eqx.Module):
     ) -> None:
         """Write the scene to a folder."""
         model, space = self.model, densities()
+        moved = self.configurations, list(self.displacement)
         data = scene_data(
             "test",
             model,
-            space,
-            space.start(),
-            self.configurations,
-            list(self.displacement),
+            poses_of(model, space, space.start(), *moved),
             release=release,
             units="SI" if units == "SI" else "mm-kg-s",
         )

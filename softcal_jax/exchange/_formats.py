@@ -1,11 +1,11 @@
-"""What the formats share: what they cannot hold, and calibrating once more for them."""
+"""What the formats share: what they cannot hold, poses, and calibrating once more."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import nan
 from os import PathLike
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,15 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
 from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
 from softcal_jax.calibration import CalibrationResult, Watch, calibrate
-from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    EffectorRecord,
+    configuration_lanes,
+)
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import check_results_folder
-from softcal_jax.fields import exactly_known
+from softcal_jax.fields import ParameterSpace, exactly_known
 from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult, load_result, text
@@ -90,14 +95,42 @@ class NotConvergedError(RuntimeError):
     """The model of another program could not be calibrated, so nothing is written."""
 
 
+class Pose(NamedTuple):
+    """A configuration with fitted parameters, and displacements of the nodes [m]."""
+
+    name: str
+    lane: ConfigurationArrays
+    effectors: Sequence[EffectorRecord]
+    displacement: Float[HostArray, "n_nodes 3"]
+
+
+def poses_of(
+    model: Model,
+    space: ParameterSpace,
+    z: Any,
+    configurations: Sequence[Configuration],
+    displacements: Sequence[Float[HostArray, "n_nodes 3"]] | None = None,
+) -> list[Pose]:
+    """Set the parameters of configurations, by their scaled values `z`.
+
+    Without displacements [m] they are at rest.
+    """
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    if displacements is None:
+        displacements = [np.zeros_like(model.mesh.points)] * len(configurations)
+    set_lanes = [space.apply(model, lane, z)[1] for lane in lanes.arrays]
+    names = [configuration.name for configuration in configurations]
+    return list(map(Pose, names, set_lanes, lanes.effectors, displacements))
+
+
 class Recalibration(NamedTuple):
     """The model of a program, calibrated for it, and what to say of it, in lines.
 
-    `solved` are the configurations that have an equilibrium, and displacements [m].
+    The poses are those that have an equilibrium.
     """
 
     result: CalibrationResult
-    solved: tuple[list[Configuration], list[Float[HostArray, "n_nodes 3"]]]
+    poses: list[Pose]
     lines: list[str]
     notes: list[str]
 
@@ -159,9 +192,10 @@ def recalibrate(
     lost = ", ".join(c.name for c in refitted.configurations if not c.converged)
     left_out = f"Without an equilibrium in the model of {program}, and so left out: "
     posed = [c for c in project.configurations if c.name in solved]
+    fitted = refitted.model, refitted.space, refitted.z
     return Recalibration(
         refitted,
-        (posed, [np.asarray(solved[c.name]) for c in posed]),
+        poses_of(*fitted, posed, [np.asarray(solved[c.name]) for c in posed]),
         _lines_of_both(loaded, refitted, program),
         [f"{left_out}{lost}."] if lost else [],
     )

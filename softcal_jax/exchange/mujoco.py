@@ -6,7 +6,7 @@ Written as XML (MJCF): body, actuators, loads, and a keyframe per configuration.
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import jax.numpy as jnp
@@ -16,15 +16,10 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.actuators import Cable, ForceActuator, SurfaceForceActuator
 from softcal_jax.calibration import CalibrationResult, Watch
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationArrays,
-    configuration_lanes,
-)
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
+from softcal_jax.exchange._formats import Pose
 from softcal_jax.export import file_stems, results_folder, write_json
-from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, StVenantKirchhoff
 from softcal_jax.report import LoadedResult
 
@@ -43,14 +38,6 @@ constraints let the body explode (tried with MuJoCo 4.0).
 
 GUIDE_MASS = 0.05
 """Mass of a guide over the mean mass of a node, so that it hardly adds to it [-]."""
-
-
-class Key(NamedTuple):
-    """A configuration by its name and arrays, and its displacements [m]."""
-
-    name: str
-    lane: ConfigurationArrays
-    displacement: Float[HostArray, "n_nodes 3"]
 
 
 class MujocoExport(Module):
@@ -103,12 +90,12 @@ def export_mujoco(
     loaded, project = formats.linear_result(result, folder, force=force)
     model = model_for_law(project.model, law_for_mujoco(project.model.law))
     assert project.space is not None  # it has been calibrated
-    at_rest = [np.zeros_like(model.mesh.points)] * len(project.configurations)
-    every = project.configurations, at_rest
-    mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
+    check_robot(model)  # refused before the work
+    asked = project.space, loaded.z, project.configurations
+    check_poses(formats.poses_of(model, *asked))
     refit = formats.recalibrate(loaded, project, model, "MuJoCo", watch)
-    refitted = refit.result
-    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *refit.solved)
+    refitted, poses = refit.result, refit.poses
+    check_poses(poses)
     lines = [*refit.lines, "", *refit.notes]
     lines.append(
         "Damping and time step only bring the body to rest: neither was calibrated, "
@@ -127,7 +114,7 @@ def export_mujoco(
     return MujocoExport(files, refitted, tuple(lines))
 
 
-def _surroundings(pose: Key) -> bytes:
+def _surroundings(pose: Pose) -> bytes:
     """Return what the poses of one file have in common: supports and gravity."""
     lane = pose.lane
     parts = lane.fixed, lane.springs.coefficients(), lane.acceleration
@@ -149,17 +136,8 @@ def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
     )
 
 
-def mujoco_poses(
-    model: Model,
-    space: ParameterSpace,
-    z: Any,
-    configurations: Sequence[Configuration],
-    displacements: Sequence[Float[HostArray, "n_nodes 3"]],
-) -> list[Key]:
-    """Return configurations with the fitted parameters, of scaled values `z`.
-
-    A ValueError says why MuJoCo cannot hold a robot, support or displacement.
-    """
+def check_robot(model: Model) -> None:
+    """Raise ValueError unless MuJoCo can hold a body and what is attached to it."""
     formats.check_no_bodies(model, "a model of MuJoCo")
     known = Cable, ForceActuator, SurfaceForceActuator
     holds = "cables without friction and forces of fixed direction"
@@ -169,29 +147,28 @@ def mujoco_poses(
             "parts of the body have no mass, and MuJoCo moves masses: give `density` "
             "in [material]."
         )
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism).arrays
-    poses = []
-    for i, (c, u) in enumerate(zip(configurations, displacements, strict=True)):
-        _, lane = space.apply(model, lanes[i], z)
+
+
+def check_poses(poses: Sequence[Pose]) -> None:
+    """Raise ValueError unless MuJoCo can hold supports and actuation of poses."""
+    for name, lane, *_ in poses:
         if np.any(lane.imposed) or np.any(lane.springs.rest):
             raise ValueError(
-                f"configuration {c.name!r}: a support that is moved is not written to "
+                f"configuration {name!r}: a support that is moved is not written to "
                 "MuJoCo, whose flex is at rest where it is built. Leave its "
                 "displacement out."
             )
         moved = np.flatnonzero(lane.actuation.by_displacement)
         if moved.size:
             raise ValueError(
-                f"configuration {c.name!r}: the displacement of the actuator "
+                f"configuration {name!r}: the displacement of the actuator "
                 f"{lane.actuation.names[moved[0]]!r} is imposed, and controls of the "
                 "model of MuJoCo are forces. Impose the force that the equilibrium "
                 "has (robot.csv)."
             )
-        poses.append(Key(c.name, lane, u))
-    return poses
 
 
-def mjcf(name: str, model: Model, poses: Sequence[Key], remarks: Sequence[str]) -> str:
+def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str]) -> str:
     """Write a linear model, and poses of the same supports and gravity, as MJCF.
 
     Each pose is a keyframe of its name: the controls, and the equilibrium. A cable is a

@@ -39,27 +39,12 @@ ELASTIC = "Sofa.Component.SolidMechanics.FEM.Elastic"
 HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
 
 
-class Scale(NamedTuple):
-    """Factors from SI to the units of a scene, whose mass and time are kg and s.
+SCALES = {"mm-kg-s": 1e3, "SI": 1.0}
+"""Factors of lengths from SI to the units of a scene; SOFA itself has none.
 
-    A force is in kg m/s2, so its factor is that of a length; a pressure is in
-    kg/(m s2), so its factor is the inverse. `words` are the units by quantity.
-    """
-
-    length: float
-    force: float
-    pressure: float
-    volume: float
-    words: dict[str, str]
-
-
-_MM = {"length": "mm", "force": "mN", "pressure": "kPa"}
-_SI = {"length": "m", "force": "N", "pressure": "Pa"}
-SCALES = {
-    "mm-kg-s": Scale(1e3, 1e3, 1e-3, 1e9, _MM),
-    "SI": Scale(1.0, 1.0, 1.0, 1.0, _SI),
-}
-"""Unit systems by name; SOFA itself has none."""
+Mass and time are kg and s in all of them. So this is the factor of forces too, and its
+inverse that of pressures.
+"""
 
 
 class Component(NamedTuple):
@@ -156,18 +141,19 @@ def _no_counterpart(law: AbstractLaw) -> ValueError:
 
 
 def component_of(
-    law: AbstractLaw, n_tets: int, release: SofaRelease, scale: Scale
+    law: AbstractLaw, n_tets: int, release: SofaRelease, scale: float
 ) -> Component:
-    """Write a law from `law_for_sofa` as a component of a scene.
+    """Write a law from `law_for_sofa` as a component of a scene, with one of `SCALES`.
 
     A ValueError if the release lacks it, or SOFA would replace a constant by another.
     """
+    pressure = 1.0 / scale
     if isinstance(law, SofaCorotational):
         if isinstance(law.elasticity, PluginElasticity):
-            return _of_plugin(law.elasticity, n_tets, scale)
+            return _of_plugin(law.elasticity, n_tets, pressure)
         assert isinstance(law.elasticity, Isotropic)
         data = {
-            "youngModulus": _listed(scale.pressure * np.asarray(law.elasticity.E)),
+            "youngModulus": _listed(pressure * np.asarray(law.elasticity.E)),
             "poissonRatio": _listed(law.elasticity.nu),
         }
         for nu in data["poissonRatio"]:
@@ -190,12 +176,12 @@ def component_of(
     lam, mu = lame(constants.E, constants.nu)
     data = {
         "materialName": type(law).__name__,
-        "ParameterSet": [scale.pressure * float(c) for c in (mu, lam)],
+        "ParameterSet": [pressure * float(c) for c in (mu, lam)],
     }
     return Component("TetrahedronHyperelasticityFEMForceField", HYPERELASTIC, data)
 
 
-def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Component:
+def _of_plugin(elasticity: PluginElasticity, n_tets: int, pressure: float) -> Component:
     each = [np.broadcast_to(value, (n_tets,)) for value in elasticity.constants()]
     E_t, E_l, nu_t, nu_tl = each
     if np.any(nu_tl == 0.0):
@@ -203,7 +189,7 @@ def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Compo
             "nu_tl is 0, where the plugin Anisotropy divides by zero; give another one."
         )
     kind = np.full(n_tets, 2.0)  # transverse isotropy
-    E_t, E_l = scale.pressure * E_t, scale.pressure * E_l
+    E_t, E_l = pressure * E_t, pressure * E_l
     parameters = np.stack([kind, E_l, nu_tl, E_t / (2.0 * (1.0 + nu_t))], axis=1)
     u = jnp.broadcast_to(elasticity.fibre.direction().T, (n_tets, 3))
     data = {

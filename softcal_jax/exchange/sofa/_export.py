@@ -17,20 +17,15 @@ import numpy as np
 from softcal_jax import actuators
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import HostArray, Int
 from softcal_jax.calibration import CalibrationResult, Watch
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationArrays,
-    EffectorRecord,
-    configuration_lanes,
-)
+from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
+from softcal_jax.exchange._formats import Pose
 from softcal_jax.exchange.sofa._component import (
     SCALES,
     PluginElasticity,
-    Scale,
     SofaLaw,
     SofaRelease,
     SofaUnits,
@@ -38,7 +33,6 @@ from softcal_jax.exchange.sofa._component import (
     law_for_sofa,
 )
 from softcal_jax.export import file_stems, plain, results_folder, write_json
-from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import SofaRotation
 from softcal_jax.report import LoadedResult
 
@@ -46,12 +40,19 @@ CONVERGED = 1e-9
 """Residual at which Newton of SOFA stops, relative to the nodal loads [-]."""
 
 _IMPOSED = {
-    (True, True): ("displacement", "length"),
-    (True, False): ("force", "force"),
-    (False, True): ("volumeGrowth", "volume"),
-    (False, False): ("pressure", "pressure"),
+    (True, True): ("displacement", 1),
+    (True, False): ("force", 1),
+    (False, True): ("volumeGrowth", 3),
+    (False, False): ("pressure", -1),
 }
-"""SOFA's value type and factor of its unit, by (is a cable, imposes displacement)."""
+"""SOFA's value type, and the power of the factor of lengths that makes its unit, by (is
+a cable, imposes displacement)."""
+
+_WORDS = {
+    "mm-kg-s": {"length": "mm", "force": "mN", "pressure": "kPa"},
+    "SI": {"length": "m", "force": "N", "pressure": "Pa"},
+}
+"""Units of quantities, by the unit system."""
 
 
 def check_robot(model: Model) -> None:
@@ -68,61 +69,51 @@ def check_robot(model: Model) -> None:
 def scene_data(
     name: str,
     model: Model,
-    space: ParameterSpace,
-    z: Any,
-    configurations: Sequence[Configuration],
-    displacements: Sequence[Float[HostArray, "n_nodes 3"]],
+    poses: Sequence[Pose],
     *,
     release: SofaRelease,
     units: SofaUnits,
 ) -> dict[str, Any]:
-    """Build the content of robot.json, in the units of the scene.
-
-    `displacements` are what the linear model predicts in each configuration [m]. The
-    parameters, of scaled values `z`, may also belong to loads and supports.
-    """
+    """Build the content of robot.json, in the units of the scene."""
     scale, masses = SCALES[units], formats.vertex_masses(model)
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    stems, written = file_stems([c.name for c in configurations]), {}
-    for i, configuration in enumerate(configurations):
-        _, lane = space.apply(model, lanes.arrays[i], z)
+    written = {}
+    for pose, stem in zip(poses, file_stems([p.name for p in poses]), strict=True):
+        lane = pose.lane
         force = np.asarray(lane.dead_loads)
         loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
         loads = masses[:, None] * np.asarray(lane.acceleration) + force
         size = float(np.linalg.norm(np.where(lane.fixed, 0.0, loads)))
-        x = model.mesh.points + np.asarray(displacements[i])
-        written[configuration.name] = {
-            "file": stems[i],
-            "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
-            **_supports(model, configuration, lane, scale),
+        written[pose.name] = {
+            "file": stem,
+            "gravity": (scale * np.asarray(lane.acceleration)).tolist(),
+            **_supports(model, pose, scale),
             "forces": {
                 "indices": loaded.tolist(),
-                "forces": (scale.force * force[loaded]).tolist(),
+                "forces": (scale * force[loaded]).tolist(),
             },
             **_actuators(model, lane, scale),
-            "effectors": _effectors(lane, lanes.effectors[i], x, scale),
+            "effectors": _effectors(model, pose, scale),
             # Relative to the nodal loads; 0 without a load on free nodes.
-            "stop at residual": CONVERGED * scale.force * size,
+            "stop at residual": CONVERGED * scale * size,
         }
     return {
         "format": "softcal_jax.sofa/1",
         "name": name,
         "release": release,
-        "units": scale.words,
+        "units": _WORDS[units],
         "elasticity": component_of(model.law, model.n_tets, release, scale)._asdict(),
-        "positions": (scale.length * model.mesh.points).tolist(),
+        "positions": (scale * model.mesh.points).tolist(),
         "vertex mass": masses.tolist(),
         "configurations": written,
     }
 
 
-def _supports(
-    model: Model, configuration: Configuration, lane: ConfigurationArrays, scale: Scale
-) -> dict[str, Any]:
+def _supports(model: Model, pose: Pose, scale: float) -> dict[str, Any]:
+    lane = pose.lane
     fixed, imposed = np.asarray(lane.fixed), np.asarray(lane.imposed)
     if np.any(np.asarray(lane.springs.rest)):
         raise ValueError(
-            f"configuration {configuration.name!r}: an elastic support that is moved "
+            f"configuration {pose.name!r}: an elastic support that is moved "
             "is not written, since SOFA's springs pull towards the rest shape. Leave "
             "its displacement out."
         )
@@ -131,11 +122,11 @@ def _supports(
     is_chamber = np.array([kind is actuators.Chamber.kind for kind in kinds], bool)
     if moved.size and np.any(is_chamber & np.asarray(lane.actuation.by_displacement)):
         raise ValueError(
-            f"configuration {configuration.name!r}: a chamber with an imposed volume "
+            f"configuration {pose.name!r}: a chamber with an imposed volume "
             "is not written beside a support that is moved, since SOFA counts its "
             "growth from there. Impose its pressure."
         )
-    stiffness = scale.force / scale.length * np.asarray(lane.springs.coefficients())
+    stiffness = np.asarray(lane.springs.coefficients())  # the same in all units
     return {
         "held": [
             {
@@ -146,7 +137,7 @@ def _supports(
         ],
         "moved": {
             "indices": moved.tolist(),
-            "displacements": (scale.length * imposed[moved]).tolist(),
+            "displacements": (scale * imposed[moved]).tolist(),
         },
         "springs": [
             {
@@ -160,7 +151,7 @@ def _supports(
     }
 
 
-def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
+def _actuators(model: Model, lane: ConfigurationArrays, scale: float) -> dict[str, Any]:
     """Write cables, chambers and pressures that are imposed in a configuration."""
     written: dict[str, Any] = {"cables": [], "chambers": []}
     by_displacement = np.asarray(lane.actuation.by_displacement)
@@ -176,21 +167,21 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
                 continue  # slack, or without pressure
             formats.check_rim(model, lane, owner, "SOFA")
             cable = isinstance(group, actuators.CableSegments)
-            kind, unit = _IMPOSED[cable, moves]
+            kind, power = _IMPOSED[cable, moves]
             if cable:
                 where = _path(model, owner, scale)
             else:  # SOFA pushes along the normals: into the body
                 nodes = np.asarray(group.nodes)[owners == owner]
                 where = {"triangles": nodes[:, ::-1].tolist()}
             name = model.mechanism.actuators.names[owner]
-            imposed = {"value": getattr(scale, unit) * value, "value type": kind}
+            imposed = {"value": scale**power * value, "value type": kind}
             written["cables" if cable else "chambers"].append(
                 {"name": name, **where, **imposed}
             )
     return written
 
 
-def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
+def _path(model: Model, owner: int, scale: float) -> dict[str, Any]:
     """Return the guides of a cable on the body, and the point on the ground, if any.
 
     SOFA allows one fixed point, from which the cable is pulled, and lists the other
@@ -212,35 +203,31 @@ def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
             "SOFA's CableConstraint knows one fixed point, at an end. Put the other "
             "guides on the body."
         )
-    points = [(scale.length * point).tolist() for point, _ in guides]
+    points = [(scale * point).tolist() for point, _ in guides]
     if grounded[-1]:
         points.reverse()
     pull_point = points.pop(0) if grounded.any() else None
     return {"points": points, "pull point": pull_point}
 
 
-def _effectors(
-    lane: ConfigurationArrays,
-    records: Sequence[EffectorRecord],
-    x: Float[HostArray, "n_nodes 3"],
-    scale: Scale,
-) -> list[dict[str, Any]]:
+def _effectors(model: Model, pose: Pose, scale: float) -> list[dict[str, Any]]:
     """Write markers and other points: nodes, weights, and predicted positions."""
-    nodes = np.asarray(lane.effectors.nodes)
-    weights = np.asarray(lane.effectors.shares)
+    x = model.mesh.points + pose.displacement
+    nodes = np.asarray(pose.lane.effectors.nodes)
+    weights = np.asarray(pose.lane.effectors.shares)
     written = []
-    for record in records:
+    for record in pose.effectors:
         if record.quantity != "point":
             continue
         used = weights[record.index] != 0.0
         carriers, share = nodes[record.index][used], weights[record.index][used]
-        measured = scale.length * np.asarray(record.measured)
+        measured = scale * np.asarray(record.measured)
         written.append(
             {
                 "name": record.name,
                 "nodes": carriers.tolist(),
                 "weights": share.tolist(),
-                "predicted": (scale.length * share @ x[carriers]).tolist(),
+                "predicted": (scale * share @ x[carriers]).tolist(),
                 "measured": plain(measured) if np.isfinite(measured).any() else None,
             }
         )
@@ -403,8 +390,9 @@ def export_sofa(
     component_of(model.law, model.n_tets, release, SCALES[units])
     refit = formats.recalibrate(loaded, project, model, "SOFA", watch)
     refitted = refit.result
-    fitted = refitted.model, refitted.space, refitted.z, *refit.solved
-    scene = scene_data(project.name, *fitted, release=release, units=units)
+    scene = scene_data(
+        project.name, refitted.model, refit.poses, release=release, units=units
+    )
     notes = [*refit.notes]
     others = [f"{e.name} ({c.name})" for c in refitted.configurations for e in c.others]
     if others:

@@ -15,11 +15,13 @@ from softcal_jax.configurations import (
     PointForce,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
+from softcal_jax.exchange._formats import poses_of
 from softcal_jax.exchange.mujoco import (
     _surroundings,
+    check_poses,
+    check_robot,
     law_for_mujoco,
     mjcf,
-    mujoco_poses,
 )
 from softcal_jax.materials import (
     ClassicalCorotational,
@@ -57,8 +59,9 @@ PULLED = {"cable": 0.4, "push": 0.02, "press": 0.05}
 
 def posed(model, *configurations):
     """Poses at the equilibria of the model."""
-    at_rest = [np.zeros_like(MESH.points)] * len(configurations)
-    poses = mujoco_poses(model, SPACE, SPACE.start(), configurations, at_rest)
+    check_robot(model)
+    poses = poses_of(model, SPACE, SPACE.start(), configurations)
+    check_poses(poses)
     solved = [solve_equilibrium(model, pose.lane).displacement for pose in poses]
     return [
         p._replace(displacement=np.asarray(u))
