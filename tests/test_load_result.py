@@ -14,7 +14,7 @@ from wording import says
 
 import softcal_jax as sc
 from softcal_jax.cli import main
-from softcal_jax.exchange.icesl import _report, _settings
+from softcal_jax.exchange.icesl import _export, _settings
 from softcal_jax.fields import ParameterSpace, load_factor
 from softcal_jax.mesh import mesh_files
 from softcal_jax.project import load_project
@@ -285,7 +285,7 @@ def test_export_of_what_has_changed(folder, capsys):
 @pytest.fixture
 def coarse(monkeypatch):
     """Fewer voxels of foam than the slicer takes."""
-    for module in (_settings, _report, _settings):
+    for module in (_export, _settings):
         monkeypatch.setattr(module, "N_VOXELS", 8)
 
 

@@ -24,7 +24,7 @@ from softcal_jax.designs import (
     write_foam_table,
 )
 from softcal_jax.equilibrium import build_model
-from softcal_jax.exchange.icesl import Design, _report, _settings
+from softcal_jax.exchange.icesl import Design, _export, _settings
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
     Corotational,
@@ -51,7 +51,7 @@ def voxels(n):
     """Fewer voxels than the slicer takes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_icesl, "N", n)
-        for module in (_settings, _report, _settings):
+        for module in (_export, _settings):
             patch.setattr(module, "N_VOXELS", n)
         yield
 
@@ -64,7 +64,7 @@ def coarse():
 
 
 def test_there_are_as_many_voxels_as_the_slicer_takes():
-    assert {_icesl.N, *(m.N_VOXELS for m in (_settings, _report, _settings))} == {64}
+    assert {_icesl.N, *(m.N_VOXELS for m in (_export, _settings))} == {64}
 
 
 def foam_model(
