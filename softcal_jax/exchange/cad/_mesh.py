@@ -199,14 +199,11 @@ def _filled(
             f"{said} Mend it (holes, crossings, repeated triangles), export a STEP "
             "file, or let fTetWild fill it as it is: pip install pytetwild."
         ) from error
-    # Imported here, so that a clean model does not wait for it.
-    import pyvista
-
     outer = meshes.boundary_faces(mesh)
     places = np.concatenate([mesh.points[outer].mean(axis=1), mesh.points[outer[:, 0]]])
-    of_file = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles)
-    nearest_to: Any = of_file.find_closest_cell
-    nearest, feet = nearest_to(places, return_closest_point=True)
+    nearest, feet = surface.polydata.find_closest_cell(
+        places, return_closest_point=True
+    )
     gaps = metres * np.linalg.norm(feet - places, axis=1)
     notes.append(
         f"{said} So fTetWild filled it; the surface of the mesh lies up to "

@@ -53,6 +53,14 @@ class Triangles(NamedTuple):
         size = {"volume": abs(self.volume), "area": self.areas.sum()}
         return self._asdict() | size
 
+    @property
+    def polydata(self) -> Any:
+        """The surface for PyVista, whose triangles keep their order."""
+        # Imported here, so that other commands do not wait for it.
+        import pyvista
+
+        return pyvista.PolyData.from_regular_faces(self.points, self.triangles)
+
 
 def read_stl(path: Path) -> Triangles:
     """Read an STL file, binary or text; corners at the same place become one.
@@ -122,12 +130,11 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     triangles[flip] = triangles[flip, ::-1]
     corners, in_file = surface.points[triangles], np.where(flip, -1.0, 1.0)
     sign = lambda values: np.where(np.bincount(part, values) < 0.0, -1.0, 1.0)
-    a, b, c = np.moveaxis(corners, 1, 0)
-    kept = sign(in_file * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    kept = sign(in_file * surface.areas)
     sides = sides_of(triangles)
     is_open = np.zeros(part.max() + 1, bool)
     is_open[part[np.flatnonzero(sides.counts[sides.edge] != 2) // 3]] = True
-    inside = _nested(corners, part, ~is_open)
+    inside = _nested(surface._replace(triangles=triangles), part, ~is_open)
     depth = inside.sum(axis=1)
     outer = np.where(is_open, kept, sign(_cones(corners)) * (-1.0) ** depth)
     inwards = outer[part] < 0.0
@@ -159,10 +166,7 @@ def _check_tangle(surface: Triangles, part: Int[HostArray, " n"]) -> None:
 
     Some programs would try to fill it for hours.
     """
-    import pyvista
-
-    body = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles)
-    corners = surface.corners
+    body, corners = surface.polydata, surface.corners
     middle = corners.mean(axis=1, keepdims=True)
     inside = middle + 0.99 * (corners - middle)  # so that no neighbour is met
     tried = np.random.default_rng(0).permutation(len(part))[:_TRIED]
@@ -211,35 +215,25 @@ def _cones(corners: Float[HostArray, "n 3 3"]) -> Float[HostArray, " n"]:
 
 
 def _nested(
-    corners: Float[HostArray, "n 3 3"],
-    part: Int[HostArray, " n"],
-    closed: Bool[HostArray, " n_parts"],
+    surface: Triangles, part: Int[HostArray, " n"], closed: Bool[HostArray, " n_parts"]
 ) -> Bool[HostArray, "n_parts n_parts"]:
     """Tell which closed part lies inside which other one, without crossing it."""
     inside = np.zeros((len(closed), len(closed)), bool)
-    of_part = [corners[part == k] for k in range(len(closed))]
+    parts = [
+        surface._replace(triangles=surface.triangles[part == k])
+        for k in range(len(closed))
+    ]
     low, high = (
-        np.array([f(c, axis=(0, 1)) for c in of_part]) for f in (np.min, np.max)
+        np.array([f(one.corners, axis=(0, 1)) for one in parts])
+        for f in (np.min, np.max)
     )
     for k in np.flatnonzero(closed):
         maybe = closed & np.all((low <= low[k]) & (high >= high[k]), axis=1)
         maybe[k] = False
         for other in np.flatnonzero(maybe):
-            share = seen_from(of_part[other], of_part[k][0].mean(axis=0)).sum()
-            inside[k, other] = abs(share) > 0.5 and not _cross(
-                of_part[k], of_part[other]
-            )
+            point = parts[k].corners[0].mean(axis=0)
+            if abs(seen_from(parts[other].corners, point).sum()) > 0.5:
+                of_others = parts[other].polydata
+                meet = parts[k].polydata.collision(of_others, contact_mode=1)[1]
+                inside[k, other] = not meet
     return inside
-
-
-def _cross(first: Float[HostArray, "n 3 3"], second: Float[HostArray, "m 3 3"]) -> bool:
-    """Tell whether triangles of two surfaces meet."""
-    import pyvista
-
-    a, b = (
-        pyvista.PolyData.from_regular_faces(
-            corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
-        )
-        for corners in (first, second)
-    )
-    return bool(a.collision(b, contact_mode=1)[1])
