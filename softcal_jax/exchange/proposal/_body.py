@@ -1,7 +1,7 @@
 """What the mesh of a robot shows: its size, what seems held, chambers and channels."""
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -55,7 +55,7 @@ class Body(NamedTuple):
     unit_guessed: bool
     size: str | None
     drop_unused: bool
-    why: str = ""
+    why: str = "halve it to see what changes"
 
 
 class Held(NamedTuple):
@@ -93,15 +93,16 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
     usual = first.size / 30.0  # what the first mesh was made with
     least = usual * (first.n_tets / MOST_TETS) ** (1.0 / 3.0)
     size = float(f"{min(bending, max(two_across, least)):.2g}")
-    mesh, why = mesh_cad(path, size=size, **options), "halve it to see what changes"
-    if two_across < bending:
-        longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.2g}")
-        why = (
-            f"{typed(two_across)}: two across the thinnest wall, {typed(wall)}{where}"
-            f"\n# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as "
-            f"with the {first.n_tets} of {typed(usual)}."
-        )
-    return Body(mesh, unit, guessed, typed(size), False, why)
+    mesh = mesh_cad(path, size=size, **options)
+    body = Body(mesh, unit, guessed, typed(size), False)
+    if two_across >= bending:
+        return body
+    longer = float(f"{(mesh.n_tets / first.n_tets) ** COST:.2g}")
+    return body._replace(
+        why=f"{typed(two_across)}: two across the thinnest wall, {typed(wall)}{where}"
+        f"\n# A fit with its {mesh.n_tets} tets takes {longer:g} times as long as "
+        f"with the {first.n_tets} of {typed(usual)}."
+    )
 
 
 def _guess_unit(path: Path) -> str:
@@ -131,22 +132,17 @@ def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
             raise refused from None
 
 
-def named_like(words: Sequence[str], groups: Iterable[str], mesh: TetMesh) -> list[str]:
-    """List the groups, but for tet groups, whose names contain one of some words."""
-    has_word = lambda name: any(word in name.lower() for word in words)
-    return [name for name in groups if name not in mesh.tet_groups and has_word(name)]
-
-
 def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     """Propose what is held: a group by its name, or an end of the longest side.
 
     Of both ends it is the lower one, or that which is farther from points that were
     seen to move [m].
     """
-    named = named_like(HELD_WORDS, (*mesh.surface_groups, *mesh.node_groups), mesh)
-    if named:
-        nodes = node_indices(mesh, named[0], "a support")
-        return Held(named[0], (), mesh.points[nodes].mean(axis=0))
+    for name in (*mesh.surface_groups, *mesh.node_groups):
+        has_word = any(word in name.lower() for word in HELD_WORDS)
+        if has_word and name not in mesh.tet_groups:
+            nodes = node_indices(mesh, name, "a support")
+            return Held(name, (), mesh.points[nodes].mean(axis=0))
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     extent, point = high - low, 0.5 * (low + high)
     # Among nearly equal sides the upright one.

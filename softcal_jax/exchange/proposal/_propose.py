@@ -31,7 +31,6 @@ from softcal_jax.exchange.proposal._recorded import (
 from softcal_jax.export import results_folder
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import (
-    MaterialPoints,
     MeshWarning,
     TetMesh,
     locate,
@@ -98,8 +97,7 @@ def _mesh(findings: Findings) -> Iterator[str]:
         guess = f" # CHANGE: a guess, by which it is {sides}"
         yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
     if body.size is not None:
-        why = body.why or "halve it to see what changes"
-        yield f'size = "{body.size}" # edges of the tets; {why}'
+        yield f'size = "{body.size}" # edges of the tets; {body.why}'
     if body.drop_unused:
         yield 'unused_nodes = "drop" # the file has nodes that no cell uses'
     yield """element = "quadratic" # does not lock in bending; "linear" does
@@ -390,7 +388,14 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         middle = _on_top(mesh, 0.5 * (tip + held.centre))
         markers = MarkerPlace("tip", tip, 0.0), MarkerPlace("middle", middle, 0.0)
     else:
-        markers = _markers(mesh, recorded, located, own_frame=own_frame)
+        # At the points of the mesh that are nearest to their readings.
+        places = located.foot
+        if own_frame:
+            box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
+            shifted = recorded.positions + box(mesh.points) - box(recorded.positions)
+            places = locate(mesh, shifted, max_distance=np.inf).foot
+        placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
+        markers = tuple(MarkerPlace(*each) for each in placed)
     # A file that includes others would have to be copied with all of them.
     alone = len(mesh_files(model)) == 1
     return Findings(
@@ -403,19 +408,6 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         own_frame=own_frame,
         markers=markers,
     )
-
-
-def _markers(
-    mesh: TetMesh, recorded: Recorded, located: MaterialPoints, *, own_frame: bool
-) -> tuple[MarkerPlace, ...]:
-    """Place markers at the points of the mesh that are nearest to their readings."""
-    places = located.foot
-    if own_frame:
-        box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
-        shifted = recorded.positions + box(mesh.points) - box(recorded.positions)
-        places = locate(mesh, shifted, max_distance=np.inf).foot
-    placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
-    return tuple(MarkerPlace(*each) for each in placed)
 
 
 def _within(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:

@@ -128,11 +128,6 @@ class Findings(NamedTuple):
     markers: tuple[MarkerPlace, ...]
 
     @property
-    def chambers(self) -> dict[str, bool]:
-        """Whether each chamber has a rim, by the name of its surface group."""
-        return {one.group: one.is_open for one in self.actuated if one.group}
-
-    @property
     def poses(self) -> tuple[RecordedPose, ...]:
         """All poses that were recorded, the one at rest first."""
         recorded = self.recorded
