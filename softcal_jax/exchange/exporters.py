@@ -270,10 +270,6 @@ class _MujocoExporter(AbstractExporter):
         return ()
 
 
-GROUP = "softcal_jax.exporters"
-"""Group of the entry points by which a package adds formats."""
-
-
 class ExporterWarning(SoftcalWarning):
     """An installed exporter cannot be used."""
 
@@ -291,7 +287,7 @@ def exporters() -> dict[str, AbstractExporter]:
         "mujoco": _MujocoExporter(),
         "icesl": _IceslExporter(),
     }
-    for point in entry_points(group=GROUP):
+    for point in entry_points(group="softcal_jax.exporters"):
         exporter, reason = None, f"{point.value} is no AbstractExporter"
         try:
             exporter = point.load()()
