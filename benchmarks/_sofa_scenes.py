@@ -30,7 +30,7 @@ from softcal_jax.equilibrium import (
     build_model,
     solve_equilibrium,
 )
-from softcal_jax.exchange._formats import poses_of
+from softcal_jax.exchange._formats import exported_poses
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SofaRelease
 from softcal_jax.exchange.sofa._export import scene_data, write_scene
@@ -97,7 +97,7 @@ class Posed(eqx.Module):
         data = scene_data(
             "test",
             model,
-            poses_of(model, space, space.start(), *moved),
+            exported_poses(model, space, space.start(), *moved),
             release=release,
             units="SI" if units == "SI" else "mm-kg-s",
         )

@@ -13,7 +13,7 @@ from softcal_jax._tree import Section, Table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
 from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
-from softcal_jax.calibration import CalibrationResult, Watch, calibrate
+from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -95,7 +95,7 @@ class NotConvergedError(RuntimeError):
     """The model of another program could not be calibrated, so nothing is written."""
 
 
-class Pose(NamedTuple):
+class ExportedPose(NamedTuple):
     """A configuration with fitted parameters, and displacements of the nodes [m]."""
 
     name: str
@@ -104,13 +104,13 @@ class Pose(NamedTuple):
     displacement: Float[HostArray, "n_nodes 3"]
 
 
-def poses_of(
+def exported_poses(
     model: Model,
     space: ParameterSpace,
     z: Any,
     configurations: Sequence[Configuration],
     displacements: Sequence[Float[HostArray, "n_nodes 3"]] | None = None,
-) -> list[Pose]:
+) -> list[ExportedPose]:
     """Set the parameters of configurations, by their scaled values `z`.
 
     Without displacements [m] they are at rest.
@@ -120,7 +120,7 @@ def poses_of(
         displacements = [np.zeros_like(model.mesh.points)] * len(configurations)
     set_lanes = [space.apply(model, lane, z)[1] for lane in lanes.arrays]
     names = [configuration.name for configuration in configurations]
-    return list(map(Pose, names, set_lanes, lanes.effectors, displacements))
+    return list(map(ExportedPose, names, set_lanes, lanes.effectors, displacements))
 
 
 class Recalibration(NamedTuple):
@@ -130,7 +130,7 @@ class Recalibration(NamedTuple):
     """
 
     result: CalibrationResult
-    poses: list[Pose]
+    poses: list[ExportedPose]
     lines: list[str]
     notes: list[str]
 
@@ -163,21 +163,17 @@ def recalibrate(
         NotConvergedError: If the calibration does not converge.
         RuntimeError: If no configuration has an equilibrium.
     """
-    assert project.space is not None  # it has been calibrated
-    refitted = calibrate(
-        model,
-        project.space,
-        project.calibration,
-        validation=project.validation,
-        noise=project.noise,
+    again = replace(
+        project,
+        model=model,
         uncertain=replace(exactly_known(), recordings=project.uncertain.recordings),
-        precision=project.precision,
-        settings=project.settings,
-        newton=project.newton,
-        start=loaded.z,
+        registrations={},
+        starts=None,
+        seed=0,
         intervals=None,
-        watch=watch,
     )
+    refitted = again.calibrate(start=loaded.z, watch=watch)
+    refitted = replace(refitted, source=None)  # its model is not that of the files
     if not refitted.converged:
         raise NotConvergedError(
             f"the calibration of the model of {program} did not converge after "
@@ -195,7 +191,7 @@ def recalibrate(
     fitted = refitted.model, refitted.space, refitted.z
     return Recalibration(
         refitted,
-        poses_of(*fitted, posed, [np.asarray(solved[c.name]) for c in posed]),
+        exported_poses(*fitted, posed, [np.asarray(solved[c.name]) for c in posed]),
         _lines_of_both(loaded, refitted, program),
         [f"{left_out}{lost}."] if lost else [],
     )

@@ -18,7 +18,7 @@ from softcal_jax.actuators import Cable, ForceActuator, SurfaceForceActuator
 from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
-from softcal_jax.exchange._formats import Pose
+from softcal_jax.exchange._formats import ExportedPose
 from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.materials import AbstractLaw, StVenantKirchhoff
 from softcal_jax.report import LoadedResult
@@ -92,7 +92,7 @@ def export_mujoco(
     assert project.space is not None  # it has been calibrated
     check_robot(model)  # refused before the work
     asked = project.space, loaded.z, project.configurations
-    check_poses(formats.poses_of(model, *asked))
+    check_poses(formats.exported_poses(model, *asked))
     refit = formats.recalibrate(loaded, project, model, "MuJoCo", watch)
     refitted, poses = refit.result, refit.poses
     check_poses(poses)
@@ -114,7 +114,7 @@ def export_mujoco(
     return MujocoExport(files, refitted, tuple(lines))
 
 
-def _surroundings(pose: Pose) -> bytes:
+def _surroundings(pose: ExportedPose) -> bytes:
     """Return what the poses of one file have in common: supports and gravity."""
     lane = pose.lane
     parts = lane.fixed, lane.springs.coefficients(), lane.acceleration
@@ -149,7 +149,7 @@ def check_robot(model: Model) -> None:
         )
 
 
-def check_poses(poses: Sequence[Pose]) -> None:
+def check_poses(poses: Sequence[ExportedPose]) -> None:
     """Raise ValueError unless MuJoCo can hold supports and actuation of poses."""
     for name, lane, *_ in poses:
         if np.any(lane.imposed) or np.any(lane.springs.rest):
@@ -168,7 +168,9 @@ def check_poses(poses: Sequence[Pose]) -> None:
             )
 
 
-def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str]) -> str:
+def mjcf(
+    name: str, model: Model, poses: Sequence[ExportedPose], remarks: Sequence[str]
+) -> str:
     """Write a linear model, and poses of the same supports and gravity, as MJCF.
 
     Each pose is a keyframe of its name: the controls, and the equilibrium. A cable is a

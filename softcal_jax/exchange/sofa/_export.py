@@ -22,7 +22,7 @@ from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
-from softcal_jax.exchange._formats import Pose
+from softcal_jax.exchange._formats import ExportedPose
 from softcal_jax.exchange.sofa._component import (
     SCALES,
     PluginElasticity,
@@ -69,7 +69,7 @@ def check_robot(model: Model) -> None:
 def scene_data(
     name: str,
     model: Model,
-    poses: Sequence[Pose],
+    poses: Sequence[ExportedPose],
     *,
     release: SofaRelease,
     units: SofaUnits,
@@ -108,7 +108,7 @@ def scene_data(
     }
 
 
-def _supports(model: Model, pose: Pose, scale: float) -> dict[str, Any]:
+def _supports(model: Model, pose: ExportedPose, scale: float) -> dict[str, Any]:
     lane = pose.lane
     fixed, imposed = np.asarray(lane.fixed), np.asarray(lane.imposed)
     if np.any(np.asarray(lane.springs.rest)):
@@ -210,7 +210,7 @@ def _path(model: Model, owner: int, scale: float) -> dict[str, Any]:
     return {"points": points, "pull point": pull_point}
 
 
-def _effectors(model: Model, pose: Pose, scale: float) -> list[dict[str, Any]]:
+def _effectors(model: Model, pose: ExportedPose, scale: float) -> list[dict[str, Any]]:
     """Write markers and other points: nodes, weights, and predicted positions."""
     x = model.mesh.points + pose.displacement
     nodes = np.asarray(pose.lane.effectors.nodes)

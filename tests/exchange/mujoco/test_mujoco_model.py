@@ -15,7 +15,7 @@ from softcal_jax.configurations import (
     PointForce,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
-from softcal_jax.exchange._formats import poses_of
+from softcal_jax.exchange._formats import exported_poses
 from softcal_jax.exchange.mujoco import (
     _surroundings,
     check_poses,
@@ -60,7 +60,7 @@ PULLED = {"cable": 0.4, "push": 0.02, "press": 0.05}
 def posed(model, *configurations):
     """Poses at the equilibria of the model."""
     check_robot(model)
-    poses = poses_of(model, SPACE, SPACE.start(), configurations)
+    poses = exported_poses(model, SPACE, SPACE.start(), configurations)
     check_poses(poses)
     solved = [solve_equilibrium(model, pose.lane).displacement for pose in poses]
     return [

@@ -22,7 +22,7 @@ from benchmarks._sofa_scenes import (
     hollow_beam,
     posed,
 )
-from softcal_jax.exchange._formats import poses_of
+from softcal_jax.exchange._formats import exported_poses
 from softcal_jax.exchange.sofa._export import check_robot, scene_data
 from softcal_jax.materials import SofaCorotational
 
@@ -149,7 +149,7 @@ def written(configuration, *actuators, mesh=None):
     law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
     model = sc.build_model(mesh, law, density=1.0, actuators=actuators)
     space = densities()
-    poses = poses_of(model, space, space.start(), [configuration])
+    poses = exported_poses(model, space, space.start(), [configuration])
     data = scene_data("test", model, poses, release="v26.06", units="mm-kg-s")
     return data["configurations"][configuration.name]
 
