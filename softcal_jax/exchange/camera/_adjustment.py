@@ -93,15 +93,13 @@ class Observations(NamedTuple):
 class Adjustment(NamedTuple):
     """Result of a bundle adjustment.
 
-    `poses` are those of target 0 in the frame of the camera, `targets` those of the
-    other targets in the frame of target 0. `covariance` is that of `targets`: six rows
-    each, of p and of a rotation vector in the axes of target 0 [m, rad]. `noise` is the
-    standard deviation of a coordinate of a corner and `rms` the root mean square of the
-    errors of each photograph [px].
+    `targets` are the poses of the other targets in the frame of target 0. `covariance`
+    is theirs: six rows each, of p and of a rotation vector in the axes of target 0
+    [m, rad]. `noise` is the standard deviation of a coordinate of a corner and `rms`
+    the root mean square of the errors of each photograph [px].
     """
 
     camera: CameraModel
-    poses: tuple[Placement, ...]
     targets: tuple[Placement, ...]
     covariance: Float[HostArray, "n n"]
     noise: float
@@ -150,7 +148,6 @@ def adjust(
     count = np.bincount(seen.photo, minlength=n_photos)
     return Adjustment(
         camera=CameraModel(values, H[:_N_CAMERA, :_N_CAMERA] * np.outer(std, std)),
-        poses=placements[:n_photos],
         targets=placements[n_photos:],
         covariance=H[first:, first:],
         noise=noise,

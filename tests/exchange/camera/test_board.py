@@ -12,7 +12,8 @@ from benchmarks._photographs import board, clear_views, phone, random_views
 from benchmarks._tags import difference
 from softcal_jax.exchange.camera import _photos, read_photo, tag_corners, tag_pose
 from softcal_jax.exchange.camera._adjustment import CameraModel, Placement
-from softcal_jax.exchange.camera._sheet import Photo, opencv
+from softcal_jax.exchange.camera._photos import Photo
+from softcal_jax.exchange.camera._sheet import opencv
 
 LENS, NOISE, SIZE = phone(), 0.05, 20e-3
 TARGET = Placement(np.eye(3), np.array([0.06, 0.02, 0.015]))
