@@ -239,10 +239,8 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
         for name, start, stop in windows:
             listed = ", ".join(f'"{round(time, 4):.10g} s"' for time in (start, stop))
             seen = _seen(recording.between(round(start, 4), round(stop, 4)))
-            select, stated = (
-                f"{{ between = [{listed}] }}",
-                _stated({"its name": name}),
-            )
+            select = f"{{ between = [{listed}] }}"
+            stated = _stated({"its name": name})
             poses.append(RecordedPose(name, path, select, seen, stated))
     return poses
 
