@@ -120,7 +120,8 @@ def exported_poses(
         displacements = [np.zeros_like(model.mesh.points)] * len(configurations)
     set_lanes = [space.apply(model, lane, z)[1] for lane in lanes.arrays]
     names = [configuration.name for configuration in configurations]
-    return list(map(ExportedPose, names, set_lanes, lanes.effectors, displacements))
+    parts = zip(names, set_lanes, lanes.effectors, displacements, strict=True)
+    return [ExportedPose(*part) for part in parts]
 
 
 class Recalibration(NamedTuple):
