@@ -10,9 +10,10 @@ import time
 import traceback
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -217,34 +218,33 @@ class Progress:
         return f"{text}, {ends_at(left)}" if foreseen else text
 
 
-class Tally:
-    """Counter of the trials of a run."""
+def progress_of(
+    total: int, before: Sequence[str], rows: Iterable[TrialRow]
+) -> Iterator[Progress]:
+    """Count the trials of a run as they end, after those that had ended before it.
 
-    def __init__(self, total: int, states: list[str]):
-        """Begin a run of `total` trials, some of which have ended in these states."""
-        self._total, self._before = total, len(states)
-        self._states = Counter(states)
-        self._workers: set[str] = set()
-        self._ends: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
-
-    def now(self, row: TrialRow | None = None) -> Progress:
-        """Count a trial that has just ended, if any, and return the progress."""
+    `before` holds the states of those. The first progress is that of the beginning.
+    """
+    states, workers = Counter(before), set()
+    ends: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
+    rate = None
+    for row in chain([None], rows):
         if row is not None:
-            self._states[row.state] += 1
+            states[row.state] += 1
             # The first trial of a worker compiles for all of its later ones.
-            counts = row.worker in self._workers
-            self._workers.add(row.worker)
-            self._ends.append((time.monotonic(), counts))
-        # The rate counts from the end of the oldest of the recent trials.
-        times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
-        n, span = sum(counts[1:]), times[-1] - times[0]
-        return Progress(
-            total=self._total,
-            ended=self._states.total(),
-            before=self._before,
-            not_converged=self._states["not converged"],
-            failed=self._states["failed"],
-            rate=n / span if n and span else None,
+            ends.append((time.monotonic(), row.worker in workers))
+            workers.add(row.worker)
+            # The rate counts from the end of the oldest of the recent trials.
+            times, counts = zip(*ends, strict=True)
+            n, span = sum(counts[1:]), times[-1] - times[0]
+            rate = n / span if n and span else None
+        yield Progress(
+            total=total,
+            ended=states.total(),
+            before=len(before),
+            not_converged=states["not converged"],
+            failed=states["failed"],
+            rate=rate,
             row=row,
         )
 

@@ -17,10 +17,10 @@ from softcal_jax.sweeps._database import read_sweep, sweep_database
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import (
     Progress,
-    Tally,
     TrialFunction,
     TrialRow,
     flat_columns,
+    progress_of,
     run_trial,
 )
 from softcal_jax.sweeps._trial import Points, Range, Trial, as_trials, shown
@@ -102,13 +102,12 @@ def run_sweep(
         if retry_failed:
             ended = {key: s for key, s in ended.items() if s != "failed"}
         left = [trial for trial in trials if trial.key not in ended]
-        tally = Tally(len(trials), [ended[t.key] for t in trials if t.key in ended])
-        progress(tally.now())
-        if left:
-            with closing(run(left)) as rows:
-                for row in rows:
-                    file.add(row)
-                    progress(tally.now(row))
+        before = [ended[trial.key] for trial in trials if trial.key in ended]
+        with closing(run(left)) as rows:
+            for now in progress_of(len(trials), before, rows if left else ()):
+                if now.row is not None:
+                    file.add(now.row)
+                progress(now)
     return read_sweep(database)
 
 
@@ -223,12 +222,12 @@ def run_part(
         _check_folder(folder, mark)
         if path.exists():
             return path
-        tally, rows = Tally(len(trials), []), {}
-        progress(tally.now())
+        rows: dict[str, TrialRow] = {}
         with closing(run(trials)) as ended:
-            for row in ended:
-                rows[row.key] = row
-                progress(tally.now(row))
+            for now in progress_of(len(trials), (), ended):
+                if now.row is not None:
+                    rows[now.row.key] = now.row
+                progress(now)
         axes, *others = flat_columns([*points.axes], [rows[t.key] for t in trials])
         columns = {"number": pa.array(range(first, last))}
         for column, values in axes.items():

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     import distributed
 
 DEATHS = 2  # number of workers that must die during a trial for it to count as failed
-
-READY = "ready"
 
 _THREADS = (
     "OMP_NUM_THREADS",
@@ -87,43 +85,48 @@ def local_rows(
 
     Each worker has `cores` threads. Closing the generator ends the workers.
     """
-    try:
-        sent = pickle.dumps(function)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ValueError(
-            f"the function of the sweep cannot be sent to worker processes ({error}): "
-            "define it with `def` in a module, or run it in this process, workers=0."
-        ) from error
-    waiting, deaths = deque(trials), Counter[str]()
+    sent, waiting, deaths = _pickled(function), deque(trials), Counter[str]()
     workers: list[_Worker] = []
     failed_starts = 0
     try:
         workers += [_Worker(sent, cores) for _ in range(min(n, len(trials)))]
         while waiting or any(worker.trial for worker in workers):
-            for worker in workers:
-                worker.give(waiting)
             heard = wait([worker.connection for worker in workers])
             for worker in [w for w in workers if w.connection in heard]:
-                said = worker.hear()
-                if isinstance(said, TrialRow):
-                    failed_starts = 0
-                    yield said
-                elif said is None:
+                trial = worker.trial
+                try:
+                    row = worker.hear()
+                except EOFError:  # it has died
                     failed_starts += not worker.ready
                     worker.check_start(failed_starts)
                     workers[workers.index(worker)] = _Worker(sent, cores)
-                    lost = worker.trial
-                    if lost is None:
+                    if trial is None:
                         continue
-                    deaths[lost.key] += 1
-                    if deaths[lost.key] < DEATHS:
-                        waiting.appendleft(lost)
+                    deaths[trial.key] += 1
+                    if deaths[trial.key] < DEATHS:
+                        waiting.appendleft(trial)
                     else:
                         how = f"its worker died {DEATHS} times: {worker.end()}"
-                        yield failed_row(lost, how)
+                        yield failed_row(trial, how)
+                else:
+                    failed_starts = 0
+                    if row is not None:
+                        yield row
+                    if waiting:
+                        worker.give(waiting.popleft())
     finally:
         for worker in workers:
             worker.stop()
+
+
+def _pickled(function: TrialFunction) -> bytes:
+    try:
+        return pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ValueError(
+            f"the function of the sweep cannot be sent to worker processes ({error}): "
+            "define it with `def` in a module, or run it in this process, workers=0."
+        ) from error
 
 
 class _Worker:
@@ -134,36 +137,30 @@ class _Worker:
         self.ready = False
         self.connection, other = _SPAWN.Pipe()
         self.process = _SPAWN.Process(
-            target=_work,
-            args=(other, function, _like_this_process()),
-            daemon=True,
+            target=_work, args=(other, function, _like_this_process()), daemon=True
         )
         with threads_of_children(cores):
             self.process.start()
         # The worker then holds the only other end: its death closes the connection.
         other.close()
 
-    def give(self, waiting: deque[Trial]) -> None:
-        """Give the worker the next trial, if it is ready and has none."""
-        if self.ready and self.trial is None and waiting:
-            self.trial = waiting.popleft()
-            with suppress(OSError):  # it has died, which `hear` finds next
-                self.connection.send(self.trial)
+    def give(self, trial: Trial) -> None:
+        """Give the worker, which has none, a trial."""
+        self.trial = trial
+        with suppress(OSError):  # it has died, which `hear` finds next
+            self.connection.send(trial)
 
-    def hear(self) -> TrialRow | str | None:
-        """Receive a row or `READY`; return None if the worker has died."""
+    def hear(self) -> TrialRow | None:
+        """Receive a row, or None once it is ready; raise EOFError if it has died."""
         try:
-            said: Any = self.connection.recv()
-        except (EOFError, OSError):
+            heard = self.connection.recv()
+        except (EOFError, OSError) as error:
             self.process.join()
-            return None
-        if isinstance(said, TrialRow):
-            self.trial = None
-        elif said == READY:
-            self.ready = True
-        else:
-            raise RuntimeError(said)
-        return said
+            raise EOFError from error
+        if isinstance(heard, RuntimeError):
+            raise heard
+        self.trial, self.ready = None, True
+        return heard
 
     def check_start(self, failed_starts: int) -> None:
         """Raise RuntimeError if workers exit, or keep dying, before they are ready."""
@@ -200,19 +197,17 @@ def _work(connection: Connection, function: bytes, setup: Callable[[], None]) ->
     try:
         call = pickle.loads(function)
     except Exception as error:  # whatever an import can raise
-        connection.send(
+        text = (
             f"a worker process cannot import the function of the sweep: {error!r}. "
             "Define it in a module that can be imported, or run it in this process, "
             "workers=0."
         )
+        connection.send(RuntimeError(text))
         return
-    connection.send(READY)
-    while True:
-        try:
-            trial = connection.recv()
-        except EOFError:
-            return
-        connection.send(run_trial(call, trial))
+    connection.send(None)  # it is ready
+    with suppress(EOFError):
+        while True:
+            connection.send(run_trial(call, connection.recv()))
 
 
 def _end_with_parent() -> None:

@@ -7,7 +7,7 @@ import pytest
 from wording import says
 
 from softcal_jax.sweeps import Progress, TrialRow, _row as row_module
-from softcal_jax.sweeps._row import Tally
+from softcal_jax.sweeps._row import progress_of
 
 
 def row(state="converged", worker="a"):
@@ -17,14 +17,11 @@ def row(state="converged", worker="a"):
 def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
     clock = iter([62.0, 63.0, 64.0, 65.0])
     monkeypatch.setattr(row_module.time, "monotonic", lambda: next(clock))
-    tally = Tally(14, ["converged", "failed"])
-    begin = tally.now()
+    rows = [row(), row(), row(), row("not converged")]
+    begin, first, _, _, now = progress_of(14, ["converged", "failed"], rows)
     assert (begin.ended, begin.rate) == (2, None)
     assert str(begin) == "2 of 14 trials (1 failed)"
-    assert tally.now(row()).rate is None
-    for _ in range(2):
-        tally.now(row())
-    now = tally.now(row("not converged"))
+    assert first.rate is None
     assert now.rate == pytest.approx(1.0)
     assert says(now, "6 of 14", "1 failed, 1 not converged", "3600.0", "ends about")
     early = replace(now, total=15)  # not yet a third of this run
@@ -35,10 +32,11 @@ def test_workers_that_end_together_are_no_hurry(monkeypatch):
     """Two of them, a trial each in 10 s."""
     clock = iter([60.0, 60.001, 70.0, 70.001])
     monkeypatch.setattr(row_module.time, "monotonic", lambda: next(clock))
-    tally = Tally(100, [])
-    assert [tally.now(row(worker=w)).rate for w in "ab"] == [None, None]
-    assert tally.now(row(worker="a")).rate == pytest.approx(0.1)
-    assert tally.now(row(worker="b")).rate == pytest.approx(0.2, rel=1e-3)
+    rows = [row(worker=worker) for worker in "abab"]
+    _, *first, third, fourth = progress_of(100, [], rows)
+    assert [now.rate for now in first] == [None, None]
+    assert third.rate == pytest.approx(0.1)
+    assert fourth.rate == pytest.approx(0.2, rel=1e-3)
 
 
 def test_words():
