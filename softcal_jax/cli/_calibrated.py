@@ -81,16 +81,17 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     for flag in ("goal", "start", "limit"):
         for text in getattr(args, flag):
             options += [f"--{flag}", text]
-    write = partial(
-        report.write_results,
+    cli.write_results(
         result,
+        args,
+        show,
+        index="inverse.json",
         name=project.name,
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
         options=options,
         notes=(*cli.with_care(loaded.outcome, loaded.doubts), *show.warnings),
     )
-    cli.write_results(write, args, show, index="inverse.json")
     if not result.met:
         interrupted = result.outcome == OUTCOMES.interrupted
         code = cli.INTERRUPTED if interrupted else cli.NOT_CONVERGED

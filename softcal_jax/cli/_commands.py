@@ -4,7 +4,6 @@ import argparse
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,9 +71,8 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     show.line()
     tree = report.calibration_sections(result, assessment)
     show.line(report.console(tree, short=not args.verbose))
-    more = {"name": project.name, "traces": project.traces}
-    write = partial(report.write_results, result, assessment=assessment, **more)
-    cli.write_results(write, args, show, index="result.json")
+    about = {"name": project.name, "traces": project.traces, "assessment": assessment}
+    cli.write_results(result, args, show, index="result.json", **about)
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged"
@@ -123,10 +121,16 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
     show.line(report.console(report.sections(result)))
-    more = {"name": project.name, "traces": project.traces}
-    more |= {"calibration": args.values and report.result_path(args.values)}
-    write = partial(report.write_results, result, made=_made(project), **more)
-    cli.write_results(write, args, show, index="simulation.json")
+    cli.write_results(
+        result,
+        args,
+        show,
+        index="simulation.json",
+        name=project.name,
+        traces=project.traces,
+        made=_made(project),
+        calibration=args.values and report.result_path(args.values),
+    )
     # Who has no equilibrium is named once the results are written.
     with cli.no_equilibrium("The results contain the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
@@ -150,8 +154,8 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
     show.lap("design", compiling=result.fit.timing_s["compile"])
     show.line()
     show.line(report.console(report.sections(result)))
-    write = partial(report.write_results, result, name=project.name, project=project)
-    cli.write_results(write, args, show, index="design.json")
+    about = {"name": project.name, "project": project}
+    cli.write_results(result, args, show, index="design.json", **about)
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
         printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
@@ -167,9 +171,6 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
 
 def identify(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
-    from softcal_jax.export import result_dict
-
     project = cli.load(args.project, show)
     with cli.bad_input():
         project.check_identify()
@@ -197,16 +198,10 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
             ranking = project.rank_candidates(proposals=True, progress=progress)
             show.lap("candidates")
             show.line(f"{ranking}\n")
-    made = _made(project, precision=project.precision)
-    more: dict[str, Any] = {"name": project.name, "made": made}
     result: Any = outlook or ranking
-    more["ranking"] = ranking
-    if args.output is None:
-        show.document(result_dict(result, timing_s=show.laps, **more))
-        show.times()
-    else:
-        write = partial(report.write_results, result, **more)
-        cli.write_results(write, args, show, index="identifiability.json")
+    made = _made(project, precision=project.precision)
+    about = {"name": project.name, "made": made, "ranking": ranking}
+    cli.write_results(result, args, show, index="identifiability.json", **about)
 
 
 def _made(project: "Project", **settings: Any) -> "Made":
@@ -218,6 +213,110 @@ def _made(project: "Project", **settings: Any) -> "Made":
 
 def _names(group: "Sequence[Configuration]") -> str:
     return ", ".join(c.name for c in group)
+
+
+_DESIGN = """\
+examples:
+  softcal design project.toml -o design
+  softcal calibrate design/project.toml -o results   once poses of the print are in it
+
+A configuration has a goal in place of `measured`, and [design] says what limits it:
+  goal = { tip = "(100, -, 12) mm" }
+  [design]
+  foam = "Polyfoam"
+  limits = { cable = "0 N to 5 N" }
+
+exit codes: 0 all goals and limits met, 1 some not, or no equilibrium, 2 bad input
+"""
+
+_IDENTIFY = """\
+examples:
+  softcal identify project.toml
+  softcal identify project.toml -o outlook    and as identifiability.json and .txt
+
+exit codes: 0 assessed, whatever the verdict, 1 no equilibrium, 2 bad input
+"""
+
+
+def add_project_commands(commands: "argparse._SubParsersAction") -> None:
+    """Add demo, calibrate, simulate, design and identify."""
+    beam = commands.add_parser(
+        "demo",
+        help="calibrate a real robot from its motion capture",
+        description="Calibrates a real robot from measured poses, predicts held-out "
+        "poses, and writes the results. beam: Young's modulus of a clamped "
+        "silicone beam, from two loads; under a minute. arm: matrix and fibres of a "
+        "pneumatic arm, from three pressures; many minutes, and it needs "
+        "softcal-jax[mocap].",
+    )
+    text, robots = "which robot (default: beam)", ["beam", "arm"]
+    beam.add_argument("robot", nargs="?", choices=robots, default="beam", help=text)
+    where = "folder for the results"
+    cli.add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
+    text = "write the demo's project file and data to DIR and stop"
+    cli.add_path(beam, "--write", "DIR", text)
+    beam.set_defaults(run=demo, checkpoint=None, output=Path("demo_results"))
+
+    fit = commands.add_parser(
+        "calibrate",
+        help="fit the parameters of a project file",
+        description="Fits the parameters of a project file to its measured "
+        "configurations, predicts those held out, and writes the results.",
+    )
+    text = "save the state to FILE after every step; resume from FILE if it exists"
+    cli.add_path(fit, "--checkpoint", "FILE", text)
+    fit.set_defaults(run=calibrate)
+    forward = commands.add_parser(
+        "simulate",
+        help="solve the configurations of a project file, without a fit",
+        description="Solves the equilibrium of every configuration of a project file "
+        "with the start values of its parameters, or with values that were calibrated, "
+        "and writes the results. It reports the error of each measured pose.",
+    )
+    text = "use the values in this results folder of softcal calibrate, by name"
+    cli.add_path(forward, "--values", "RESULTS", text)
+    forward.set_defaults(run=simulate)
+    plan = commands.add_parser(
+        "design",
+        help="find the material and the actuation that meet goals",
+        description="Finds the fields of the material, and for each goal the "
+        "actuation, that bring markers and effectors to the goals of a project file, "
+        "within what can be printed; says what each goal comes to as printed, and what "
+        "holds a missed one; and writes a project for the printed robot.",
+        epilog=_DESIGN,
+    )
+    plan.set_defaults(run=design)
+    outlook = commands.add_parser(
+        "identify",
+        help="would the data determine the parameters? ask before measuring",
+        description="""\
+Solves the configurations of a project file at the start values and says whether their
+markers and other effectors would determine the parameters: a verdict for each, the
+directions that the data are blind to, and condition numbers. A verdict compares the
+standard error with its target, `precision` under [settings]: 10 % by default.
+
+No measured positions are needed, and any that are given are ignored. Only the `std` of
+markers and effectors and the axes of the markers count.
+
+Candidates are ranked by what measuring them would add: those of the project file,
+[[candidates]] with the keys of [[configurations]], and proposals (gravity along other
+axes, the other end held, a weight at the tip, half and full actuation, the same again).
+It then says which fewest of them reach the target, or what else would. The candidates
+take about as long as as many configurations; the verdict stands before.""",
+        epilog=_IDENTIFY,
+    )
+    text = 'the target, in place of `precision`: --aim "5 %%"'
+    outlook.add_argument("--aim", metavar="ERROR", help=text)
+    outlook.set_defaults(run=identify)
+    for command in (fit, forward, plan, outlook):
+        cli.add_path(command, "project", "PROJECT.toml", "the project file")
+        needed = command is not outlook
+        cli.add_path(command, "--output", "DIR", where, required=needed)
+    for command in (beam, fit):
+        text = "also print the tables of the report"
+        command.add_argument("--verbose", "-v", action="store_true", help=text)
+    for command in (beam, fit, forward, plan, outlook):
+        cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
 
 
 _COMPARE = """\
@@ -232,8 +331,6 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 
 def compare(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
-    from softcal_jax.export import result_dict
     from softcal_jax.project import compare_projects, projects_by_name
 
     projects = [cli.load(path, show) for path in args.projects]
@@ -247,12 +344,7 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     made = {name: _made(project) for name, project in named}
     show.line()
     show.line(str(comparison))
-    if args.output is None:
-        show.document(result_dict(comparison, timing_s=show.laps, made=made))
-        show.times()
-    else:
-        write = partial(report.write_results, comparison, made=made)
-        cli.write_results(write, args, show, index="comparison.json")
+    cli.write_results(comparison, args, show, index="comparison.json", made=made)
     if comparison.best is None:
         raise cli.Stop(cli.NOT_CONVERGED, "no model predicts every configuration.")
 

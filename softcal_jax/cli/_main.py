@@ -8,7 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
 from importlib.metadata import version
-from pathlib import Path
 
 import shtab
 
@@ -48,28 +47,6 @@ exit codes:
     2  bad input; nothing was solved or written, unless the message says otherwise
     3  calibrated, but do not use the values: the model is far from the data
   130  interrupted by Ctrl-C or SIGTERM; the message says what was saved
-"""
-
-_DESIGN = """\
-examples:
-  softcal design project.toml -o design
-  softcal calibrate design/project.toml -o results   once poses of the print are in it
-
-A configuration has a goal in place of `measured`, and [design] says what limits it:
-  goal = { tip = "(100, -, 12) mm" }
-  [design]
-  foam = "Polyfoam"
-  limits = { cable = "0 N to 5 N" }
-
-exit codes: 0 all goals and limits met, 1 some not, or no equilibrium, 2 bad input
-"""
-
-_IDENTIFY = """\
-examples:
-  softcal identify project.toml
-  softcal identify project.toml -o outlook    and as identifiability.json and .txt
-
-exit codes: 0 assessed, whatever the verdict, 1 no equilibrium, 2 bad input
 """
 
 
@@ -122,84 +99,7 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    beam = commands.add_parser(
-        "demo",
-        help="calibrate a real robot from its motion capture",
-        description="Calibrates a real robot from measured poses, predicts held-out "
-        "poses, and writes the results. beam: Young's modulus of a clamped "
-        "silicone beam, from two loads; under a minute. arm: matrix and fibres of a "
-        "pneumatic arm, from three pressures; many minutes, and it needs "
-        "softcal-jax[mocap].",
-    )
-    text, robots = "which robot (default: beam)", ["beam", "arm"]
-    beam.add_argument("robot", nargs="?", choices=robots, default="beam", help=text)
-    where = "folder for the results"
-    cli.add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
-    text = "write the demo's project file and data to DIR and stop"
-    cli.add_path(beam, "--write", "DIR", text)
-    beam.set_defaults(run=_commands.demo, checkpoint=None, output=Path("demo_results"))
-
-    fit = commands.add_parser(
-        "calibrate",
-        help="fit the parameters of a project file",
-        description="Fits the parameters of a project file to its measured "
-        "configurations, predicts those held out, and writes the results.",
-    )
-    text = "save the state to FILE after every step; resume from FILE if it exists"
-    cli.add_path(fit, "--checkpoint", "FILE", text)
-    fit.set_defaults(run=_commands.calibrate)
-    forward = commands.add_parser(
-        "simulate",
-        help="solve the configurations of a project file, without a fit",
-        description="Solves the equilibrium of every configuration of a project file "
-        "with the start values of its parameters, or with values that were calibrated, "
-        "and writes the results. It reports the error of each measured pose.",
-    )
-    text = "use the values in this results folder of softcal calibrate, by name"
-    cli.add_path(forward, "--values", "RESULTS", text)
-    forward.set_defaults(run=_commands.simulate)
-    plan = commands.add_parser(
-        "design",
-        help="find the material and the actuation that meet goals",
-        description="Finds the fields of the material, and for each goal the "
-        "actuation, that bring markers and effectors to the goals of a project file, "
-        "within what can be printed; says what each goal comes to as printed, and what "
-        "holds a missed one; and writes a project for the printed robot.",
-        epilog=_DESIGN,
-    )
-    plan.set_defaults(run=_commands.design)
-    outlook = commands.add_parser(
-        "identify",
-        help="would the data determine the parameters? ask before measuring",
-        description="""\
-Solves the configurations of a project file at the start values and says whether their
-markers and other effectors would determine the parameters: a verdict for each, the
-directions that the data are blind to, and condition numbers. A verdict compares the
-standard error with its target, `precision` under [settings]: 10 % by default.
-
-No measured positions are needed, and any that are given are ignored. Only the `std` of
-markers and effectors and the axes of the markers count.
-
-Candidates are ranked by what measuring them would add: those of the project file,
-[[candidates]] with the keys of [[configurations]], and proposals (gravity along other
-axes, the other end held, a weight at the tip, half and full actuation, the same again).
-It then says which fewest of them reach the target, or what else would. The candidates
-take about as long as as many configurations; the verdict stands before.""",
-        epilog=_IDENTIFY,
-    )
-    text = 'the target, in place of `precision`: --aim "5 %%"'
-    outlook.add_argument("--aim", metavar="ERROR", help=text)
-    outlook.set_defaults(run=_commands.identify)
-    for command in (fit, forward, plan, outlook):
-        cli.add_path(command, "project", "PROJECT.toml", "the project file")
-        needed = command is not outlook
-        cli.add_path(command, "--output", "DIR", where, required=needed)
-    for command in (beam, fit):
-        text = "also print the tables of the report"
-        command.add_argument("--verbose", "-v", action="store_true", help=text)
-    for command in (beam, fit, forward, plan, outlook):
-        cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
+    _commands.add_project_commands(commands)
     add_new(commands)
     add_check(commands)
     add_mesh(commands)

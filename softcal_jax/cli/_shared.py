@@ -212,21 +212,27 @@ def refusal(error: Exception) -> Stop:
 
 
 def write_results(
-    write: Callable[..., Path], args: argparse.Namespace, show: Display, *, index: str
+    result: Any, args: argparse.Namespace, show: Display, *, index: str, **about: Any
 ) -> None:
-    """Write results that are printed already, and say where; as JSON, print `index`.
+    """Write a result that is printed already, and say where; as JSON, print `index`.
 
-    `write` is a function of `report` that takes a folder, `force`, `timing_s` and, for
-    a command with pictures, their format and a callback. Where the folder cannot be
-    written any more, as on a full disk, the results go to a temporary one, and the
-    command ends with a message.
+    `about` is what `report.write_results` takes besides. A command without a folder
+    only prints the JSON. Where the folder cannot be written any more, as on a full
+    disk, the results go to a temporary one, and the command ends with a message.
     """
+    from softcal_jax.export import result_dict
+    from softcal_jax.report import write_results
+
+    if args.output is None:
+        show.document(result_dict(result, timing_s=show.laps, **about))
+        show.times()
+        return
     show.now("writing results")
     if "pictures" in args:
         drawing = partial(show.now, "drawing pictures", log=False)
-        progress = lambda done, total: drawing(count=(done, total))
-        suffix = None if args.no_pictures else args.pictures
-        write = partial(write, pictures=suffix, progress=progress)
+        about["progress"] = lambda done, total: drawing(count=(done, total))
+        about["pictures"] = None if args.no_pictures else args.pictures
+    write = partial(write_results, result, **about)
     with bad_input():
         try:
             where = write(args.output, force=args.force, timing_s=show.laps)

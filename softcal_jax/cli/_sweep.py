@@ -145,9 +145,7 @@ def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
 
 
 def _row_dict(row: "TrialRow") -> dict[str, Any]:
-    keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
-    more = {key: getattr(row, key) for key in keys}
-    return {"point": dict(row.point), "figures": dict(row.figures), **more}
+    return {key: v for key, v in vars(row).items() if key not in ("key", "traceback")}
 
 
 def _row_line(row: "TrialRow") -> str:

@@ -111,7 +111,8 @@ class Sweep:
             ValueError, OSError, RuntimeError: See `run_sweep`.
         """
         path = self.database if database is None else database
-        return run_sweep(self.function, self.points, path, **self._about, **options)
+        about = {**self._about, "name": self.name}
+        return run_sweep(self.function, self.points, path, **about, **options)
 
     def run_part(
         self, folder: str | os.PathLike[str], *, part: int, of: int, **options: Any
@@ -127,7 +128,6 @@ class Sweep:
     @property
     def _about(self) -> dict[str, Any]:
         return {
-            "name": self.name,
             "seed": self.seed,
             "repeats": [axis for axis in REPEATS if axis in self.points[0]],
             "definitions": self.definitions,

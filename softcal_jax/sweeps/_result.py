@@ -86,7 +86,8 @@ class SweepResult:
         Raises:
             ValueError: If no row has a figure of that name.
         """
-        return _numbers(self.rows, self.figure(figure))
+        values = figure_values(self.rows, self.figure(figure))
+        return values[~np.isnan(values)]
 
     def true_values(self, figure: str) -> Float[HostArray, " n"]:
         """Return what the truth says of a figure in each row, in SI; nan if nothing.
@@ -155,11 +156,6 @@ def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n
     """Return a figure of each row; nan for no number, or if it did not converge."""
     value = lambda row: row.figures.get(figure) if row.state == "converged" else None
     return np.array([v if is_number(v) else np.nan for v in map(value, rows)], float)
-
-
-def _numbers(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
-    values = figure_values(rows, figure)
-    return values[~np.isnan(values)]
 
 
 MOST_PANELS = 4  # figures in a picture

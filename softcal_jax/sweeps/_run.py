@@ -95,8 +95,9 @@ def run_sweep(
         RuntimeError: If workers cannot start.
     """
     trials = as_trials(points, seed)
-    about, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
+    rests_on = _rests_on(function, trials, repeats, seed, definitions)
     run = rows_of(function, workers, cores_per_worker, scheduler)
+    about = {"name": name or rests_on["function"], "repeats": tuple(repeats)}
     with sweep_database(Path(database)) as file:
         ended = file.begin(trials, about, rests_on)
         if retry_failed:
@@ -111,25 +112,22 @@ def run_sweep(
     return read_sweep(database)
 
 
-def about_sweep(
+def _rests_on(
     function: TrialFunction,
     trials: Sequence[Trial],
-    name: str | None,
     repeats: Sequence[str],
     seed: int,
     definitions: Mapping[str, str] | None,
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return name and repetitions of a sweep, and what its rows depend on, by name."""
+) -> dict[str, str]:
+    """Return what rows depend on, by name, once the axes are known to be right."""
     axes = trials[0].point
     check_known("axis", axes, *repeats)
-    what = getattr(function, "__qualname__", type(function).__qualname__)
-    rests_on = {
-        "function": what,
+    return {
+        "function": getattr(function, "__qualname__", type(function).__qualname__),
         "set of axes": ", ".join(sorted(axes)),
         "seed": str(seed),
         **(definitions or {}),
     }
-    return {"name": name or what, "repeats": tuple(repeats)}, rests_on
 
 
 def rows_of(
@@ -166,7 +164,6 @@ def run_part(
     *,
     part: int,
     of: int,
-    name: str | None = None,
     seed: int = 0,
     repeats: Sequence[str] = (),
     definitions: Mapping[str, str] | None = None,
@@ -210,7 +207,7 @@ def run_part(
         ) from error
     first, last = (len(points) * k // of for k in (part, part + 1))
     trials = as_trials(points[first:last], seed)
-    _, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
+    rests_on = _rests_on(function, trials, repeats, seed, definitions)
     mark = json.dumps({**rests_on, "points": _digest(points), "parts": of}).encode()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
