@@ -32,7 +32,7 @@ from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import (
     OWN_AXES,
     CalibrationTrial,
-    digest_of,
+    file_digest,
     file_keys,
     truth_in_si,
 )
@@ -158,7 +158,7 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         hint = similar_file(source)
         raise FileNotFoundError(f"{path}: project: there is no file {source}.{hint}")
     project = load_project(source)
-    files = {str(file.resolve()): digest_of(file) for file in project.files}
+    files = {str(file.resolve()): file_digest(file) for file in project.files}
     function = CalibrationTrial(
         source.resolve(), files, table.layouts, _replaced(path, table), table.truth
     )

@@ -325,7 +325,7 @@ class CalibrationTrial:
             if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
                 jax.clear_caches()
             for path, digest in self.files.items():
-                if digest_of(Path(path)) != digest:
+                if file_digest(Path(path)) != digest:
                     raise RuntimeError(
                         f"{path} has changed since the sweep began; its rows would no "
                         "longer belong together."
@@ -410,7 +410,7 @@ def why_not(result: CalibrationResult) -> str:
     return "no step could be computed: the sensitivities are not finite"
 
 
-def digest_of(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """Digest a file; a TOML file without its comments."""
     if path.suffix == ".toml":
         text = json.dumps(read_toml(path, "project file"), sort_keys=True, default=str)
