@@ -44,9 +44,8 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
     with cli.bad_input():
         quantities = quantities_as_read(args.project)
         sections = filter(None, outline(project, quantities))
-        lines = "\n\n".join(text([section]) for section in sections).splitlines()
-        for line in ("", *lines):
-            show.line(line)
+        words = "\n\n".join(text([section]) for section in sections)
+        show.line(f"\n{words}")
         show.lap("outline")
         if not args.no_pictures:
             show.now("drawing", log=False)
@@ -64,7 +63,7 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
             "parameters": [q.name for q in project.parameters],
             "quantities": [read._asdict() for read in quantities],
             "warnings": list(doubts),
-            "outline": lines,
+            "outline": words.splitlines(),
             "picture": None if args.no_pictures else str(picture),
         }
     )
@@ -157,8 +156,7 @@ def mesh(args: argparse.Namespace, show: cli.Display) -> None:
             plot_groups(made, picture, title=args.model.name)
             show.lap("picture")
     show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
-    for line in text([mesh_section(made)]).splitlines():
-        show.line(line)
+    show.line(text([mesh_section(made)]))
     drawn = "" if args.no_pictures else f", picture in {picture}"
     show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
     show.document(

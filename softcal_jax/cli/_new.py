@@ -74,8 +74,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     )
     files = sorted(path.name for path in args.folder.iterdir())
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
-    for line in _finding_lines(findings):
-        show.line(line)
+    show.line("\n".join(_finding_lines(findings)))
     many = len(guesses_left(args.folder / "project.toml"))
     show.line(
         f'{many} lines hold a guess; a remark "{CHANGE}..." on each says what to '
