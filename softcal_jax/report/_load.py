@@ -1,14 +1,16 @@
 """Load a calibration that was written to a results folder."""
 
+import math
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic_core import SchemaValidator, ValidationError, core_schema as cs, from_json
+from pydantic_core import from_json
 
 from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
@@ -16,7 +18,7 @@ from softcal_jax._module import Module
 from softcal_jax._process import installed_version
 from softcal_jax._text import SoftcalWarning, check_known, listed
 from softcal_jax._typing import Array, Float
-from softcal_jax._units import readable
+from softcal_jax._units import is_number, readable
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import (
     RESULT_FORMAT,
@@ -29,38 +31,6 @@ from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
 
 RESULT = "result.json"  # name of the file in a results folder
-
-
-def _record(optional: str = "", **fields: Any) -> Any:
-    """Return the schema of a JSON object with these keys, and others."""
-    field = lambda key, of: cs.typed_dict_field(
-        of, required=key not in optional.split()
-    )
-    return cs.typed_dict_schema({key: field(key, of) for key, of in fields.items()})
-
-
-_TEXT, _TRUTH, _NUMBER = cs.str_schema(), cs.bool_schema(), cs.float_schema()
-_END = cs.nullable_schema(_NUMBER)  # of what has none
-_FILE = _record(file=_TEXT, sha256=_TEXT)
-_CHANGES = cs.dict_schema(_TEXT, cs.any_schema())
-_SOURCE = _record(project=_FILE, files=cs.list_schema(_FILE), changes=_CHANGES)
-_PARAMETER = _record("lower upper", name=_TEXT, value=_NUMBER, lower=_END, upper=_END)
-_SIZE = cs.nullable_schema(cs.union_schema([_TEXT, cs.int_schema()]))
-_JUDGED = {"outcome": _TEXT, "contradicted": _TRUTH, "reasons": cs.list_schema(_TEXT)}
-_READ = _record(
-    format=_TEXT,
-    converged=_TRUTH,
-    source=cs.nullable_schema(_SOURCE),
-    parameters=cs.list_schema(_PARAMETER),
-    configurations=cs.list_schema(
-        _record("files", name=_TEXT, rms_after_mm=_END, files=cs.list_schema(_TEXT))
-    ),
-    solver=cs.dict_schema(_TEXT, _SIZE),
-    budget=_record(covariance=cs.list_schema(cs.list_schema(_END))),
-    assessment=_record("outcome contradicted", **_JUDGED),
-    versions=cs.dict_schema(_TEXT, _TEXT),
-)
-"""What is read of a file, which has more."""
 
 
 class ResultError(ValueError):
@@ -179,33 +149,34 @@ def load_result(
         ResultWarning: If the calibration did not converge.
     """
     path = result_path(path)
-    data = _read(path)
-    source = data["source"]
-    if source is None:
-        raise ResultError(
-            f"{path}: this calibration was made in Python, without a project file. "
-            "Build model and space in Python as they were, and set the values by "
-            "space.model_at(model, space.to_scaled(values)); or describe them in a "
-            "project file, and calibrate that."
-        )
-    if project is None:
-        project = os.path.normpath(path.parent.resolve() / source["project"]["file"])
-    _check_unchanged(path, Path(project), source)
+    data, values = _read(path)
+    with _as_written(path):
+        source, said = data["source"], data["assessment"]
+        if source is None:
+            raise ResultError(
+                f"{path}: this calibration was made in Python, without a project file. "
+                "Build model and space in Python as they were, and set the values by "
+                "space.model_at(model, space.to_scaled(values)); or describe them in a "
+                "project file, and calibrate that."
+            )
+        beside = path.parent.resolve() / source["project"]["file"]
+        project = os.path.normpath(beside if project is None else project)
+        _check_unchanged(path, Path(project), source)
+        missed = {c["name"]: c["rms_after_mm"] for c in data["configurations"]}
+        errors = {k: math.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
+        states = {
+            fit["name"]: path.parent / file
+            for fit in data["configurations"]
+            for file in fit.get("files", [])[:1]
+            if file.endswith(".vtu")
+        }
+        doubts = tuple(map(str, said["reasons"]))
+        C = np.array(data["budget"]["covariance"], float)
+        solver, version = {**data["solver"]}, data["versions"]["softcal_jax"]
     # With `changes`, even empty ones, `load_project` does not warn a second time.
     loaded = load_project(project, changes=source["changes"])
-    space = _checked_space(path, loaded, data)
-    values = {entry["name"]: entry["value"] for entry in data["parameters"]}
-    z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    said = data["assessment"]
-    missed = {fit["name"]: fit["rms_after_mm"] for fit in data["configurations"]}
-    errors = {k: np.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
-    states = {
-        fit["name"]: path.parent / file
-        for fit in data["configurations"]
-        for file in fit.get("files", [])[:1]
-        if file.endswith(".vtu")
-    }
-    C = np.array(data["budget"]["covariance"], float)
+    space = _checked_space(path, loaded, [*values], solver, version)
+    z = space.to_scaled(jnp.asarray([*values.values()]))
     return LoadedResult(
         path=path,
         project=loaded,
@@ -218,7 +189,7 @@ def load_result(
         states=states,
         converged=data["converged"],
         outcome=said.get("outcome", "take with care"),
-        doubts=tuple(said["reasons"]),
+        doubts=doubts,
     )
 
 
@@ -231,32 +202,53 @@ def result_path(path: str | os.PathLike[str]) -> Path:
 
 def load_values(path: str | os.PathLike[str]) -> dict[str, float]:
     """Load values alone, by name in SI units; project and mesh may have changed."""
-    data = _read(result_path(path))
-    return {entry["name"]: entry["value"] for entry in data["parameters"]}
+    return _read(result_path(path))[1]
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """Read and check the file."""
-    check_file(path, "result file")
+@contextmanager
+def _as_written(path: Path) -> Iterator[None]:
+    """Raise ResultError where the content is not what a calibration writes."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        content = from_json(text)
-        kind = content.get("format") if isinstance(content, dict) else None
+        yield
+    except ResultError:
+        raise
+    # Of JSON and UTF-8 as well.
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as e:
+        what = f"{e.args[0]}: Field required" if isinstance(e, KeyError) else str(e)
+        raise ResultError(
+            f"{path}: expected {RESULT} as softcal calibrate writes it. {what}."
+        ) from e
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, float]]:
+    """Read the file, and the values of the parameters, which are checked."""
+    check_file(path, "result file")
+    with _as_written(path):
+        data = from_json(path.read_text(encoding="utf-8-sig"))
+        kind = data.get("format") if isinstance(data, dict) else None
         if kind != RESULT_FORMAT:
             raise ValueError(
                 f"Its format is {kind!r}; expected {RESULT_FORMAT!r}: calibrate again, "
                 "or load it with the version that wrote it"
             )
-        data: Any = SchemaValidator(_READ).validate_json(text, strict=True)
-        _check_values(data)
-    except ValueError as error:  # of JSON, UTF-8 and pydantic as well
-        what = str(error)
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise ResultError(
-            f"{path}: expected {RESULT} as softcal calibrate writes it. {what}."
-        ) from error
+        values: dict[str, float] = {}
+        for k, entry in enumerate(data["parameters"]):
+            name, value = entry["name"], entry["value"]
+            lower, upper = entry.get("lower"), entry.get("upper")
+            sound = is_number(value) and math.isfinite(value)
+            ordered = [end for end in (lower, value, upper) if end is not None]
+            # It may lie on a bound.
+            if not sound or np.any(np.diff(ordered) < -1e-9 * abs(value)):
+                raise ValueError(
+                    f"parameters.{k}.value: The value of {name} is {value}, not in its "
+                    f"bounds {lower} and {upper}"
+                )
+            values[name] = value
+        n, C = len(values), np.array(data["budget"]["covariance"], float)
+        if C.size != n * n or np.any(np.diag(C.reshape(n, n)) < 0.0):
+            raise ValueError(f"budget.covariance is none of {n} parameters")
+        if not isinstance(data["converged"], bool):
+            raise ValueError(f"converged is {data['converged']!r}, not true or false")
     if not data["converged"]:
         warnings.warn(
             f"{path}: the calibration did not converge: do not use its values. Run it "
@@ -264,23 +256,7 @@ def _read(path: Path) -> dict[str, Any]:
             ResultWarning,
             stacklevel=3,
         )
-    return data
-
-
-def _check_values(data: Mapping[str, Any]) -> None:
-    """Raise ValueError for values that no calibration gives."""
-    for p in data["parameters"]:
-        value, ends = p["value"], [p.get("lower"), p.get("upper")]
-        ordered = [x for x in (ends[0], value, ends[1]) if x is not None]
-        off = np.diff(ordered) < -1e-9 * abs(value)  # it may lie on a bound
-        if not np.isfinite(value) or np.any(off):
-            bounds = f"its bounds {ends[0]} and {ends[1]}"
-            raise ValueError(f"The value of {p['name']} is {value:g}, not in {bounds}")
-    n, C = len(data["parameters"]), data["budget"]["covariance"]
-    if [len(row) for row in C] != [n] * n or any(
-        (C[i][i] or 0.0) < 0 for i in range(n)
-    ):
-        raise ValueError(f"budget.covariance is none of {n} parameters")
+    return data, values
 
 
 def _check_unchanged(path: Path, project: Path, source: Mapping[str, Any]) -> None:
@@ -305,28 +281,27 @@ def _check_unchanged(path: Path, project: Path, source: Mapping[str, Any]) -> No
 
 
 def _checked_space(
-    path: Path, project: Project, data: Mapping[str, Any]
+    path: Path,
+    project: Project,
+    names: Sequence[str],
+    solver: Mapping[str, Any],
+    version: str,
 ) -> ParameterSpace:
     """Return the parameters, if they and the model are those of the result."""
-    names = [entry["name"] for entry in data["parameters"]]
     space = project.space
     problems = [
-        f"{key} was {data['solver'].get(key)} and is {now}"
+        f"{key} was {solver.get(key)} and is {now}"
         for key, now in solver_dict(project.model).items()
-        if key != "name" and data["solver"].get(key) != now
+        if key != "name" and solver.get(key) != now
     ]
     known = [] if space is None else space.names
     if known != names:
         problems.append(f"the parameters were {listed(names)} and are {listed(known)}")
     if problems or space is None:
-        before, now = (
-            data["versions"].get("softcal_jax"),
-            installed_version("softcal-jax"),
-        )
         raise ResultError(
             f"{path}: the project file {project.path} is the same, but what it makes "
             f"is not: {'; '.join(problems)}. Was the project changed in Python before "
-            f"it was calibrated? Was it another version (softcal-jax {before}, now "
-            f"{now})? Calibrate again."
+            f"it was calibrated? Was it another version (softcal-jax {version}, now "
+            f"{installed_version('softcal-jax')})? Calibrate again."
         )
     return space
