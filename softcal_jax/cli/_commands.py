@@ -69,7 +69,7 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     if result.beyond_noise and not result.interrupted:
         result = _with_mistakes(result, show)
     show.line()
-    tree = report.calibration_sections(result, assessment)
+    tree = report.sections(result, assessment)
     show.line(report.console(tree, short=not args.verbose))
     about = {"name": project.name, "traces": project.traces, "assessment": assessment}
     cli.write_results(result, args, show, index="result.json", **about)

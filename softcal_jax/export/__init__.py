@@ -18,7 +18,6 @@ from softcal_jax.export._headlines import (
 )
 from softcal_jax.export._json import (
     RESULT_FORMAT as RESULT_FORMAT,
-    Result as Result,
     bodies_of as bodies_of,
     result_dict as result_dict,
     solver_dict as solver_dict,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal_jax._module import Result
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -27,18 +28,6 @@ from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
 
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""
-
-Result = (
-    CalibrationResult
-    | SimulationResult
-    | DesignResult
-    | InverseResult
-    | TrajectoryResult
-    | Identifiability
-    | Ranking
-    | ModelComparison
-)
-"""What is written to a results folder."""
 
 
 def result_dict(
@@ -67,6 +56,9 @@ def result_dict(
         made: What it was computed from and with; a calibration knows that, of models
             that are compared by their names.
         directory: The folder that paths of files are relative to.
+
+    Raises:
+        TypeError: If it is no result that is written to a folder.
     """
     times = {**(timing_s or {})}
     match result:
@@ -91,8 +83,10 @@ def result_dict(
         case ModelComparison():
             kind, content = "comparison/1", _comparison(result)
             made = made or {}
-        case _:
+        case Identifiability() | Ranking():
             kind, content = "identifiability/3", _outlook(result, ranking)
+        case _:
+            raise TypeError(f"a {type(result).__name__} is no result that is written.")
     return plain(
         {
             "format": f"softcal_jax.{kind}",

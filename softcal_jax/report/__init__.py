@@ -24,9 +24,7 @@ from softcal_jax.report._outline import (
 )
 from softcal_jax.report._sections import (
     Transfer as Transfer,
-    calibration_sections as calibration_sections,
     notebook_html as notebook_html,
-    outlook_sections as outlook_sections,
     sections as sections,
     transfer as transfer,
 )

@@ -275,7 +275,6 @@ def _verdict_html(verdict: Section, most: int | None) -> Html:
 def closing(
     command: str,
     data: Mapping[str, Any],
-    sources: Iterable[Mapping[str, Any] | None],
     *,
     files: Sequence[Mapping[str, str]] | None = None,
     options: Sequence[str] = (),
@@ -283,10 +282,16 @@ def closing(
 ) -> list[Section]:
     """Write the last sections: the command that repeats a run, its files and settings.
 
-    `sources` are the project files, as `source_dict` converts them; None is a model
-    made in Python. The command reads them or, if given, `files`, and writes `out`.
+    The command reads the project files of `data`, as `made_dict` converts them, or, if
+    given, `files`, and writes `out`. A simulation also reads values of a calibration;
+    inverse control reads nothing else.
     """
-    every = list(sources)
+    values = data.get("calibration")
+    if command == "inverse":
+        files = [values] if values else []
+    elif values:
+        options = ["--values", values["file"]]
+    every = data["sources"].values() if "sources" in data else [data["source"]]
     known = [source for source in every if source is not None]
     named = files or []
     if files is None and len(known) == len(every):

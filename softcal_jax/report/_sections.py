@@ -131,21 +131,29 @@ MOST_BARS = 24  # rows of a chart
 MOST_DIRECTIONS = 8  # blind directions that are listed; the others are only counted
 
 
-def sections(result: object) -> tuple[Section, ...]:
+def sections(
+    result: object, known: Assessment | Ranking | None = None
+) -> tuple[Section, ...]:
     """Write what a result says, as a tree; those without a title come first.
+
+    Args:
+        result: The result.
+        known: What is known of it besides: the assessment of a calibration, or
+            candidates that are ranked beside an `Identifiability`.
 
     Raises:
         TypeError: If it is no result of this package.
     """
     if type(result) not in _SECTIONS:
         raise TypeError(f"a {type(result).__name__} is no result that has sections.")
-    return _SECTIONS[type(result)](result)
+    write = _SECTIONS[type(result)]
+    return write(result) if known is None else write(result, known)
 
 
-def calibration_sections(
-    result: CalibrationResult, assessment: Assessment
+def _calibration(
+    result: CalibrationResult, assessment: Assessment | None = None
 ) -> tuple[Section, ...]:
-    """Write what a calibration says, given its assessment."""
+    assessment = assessment or assess(result)
     fits, outlook = result.configurations, assessment.identifiability
     tables = (
         _goals.parameter_table(result, outlook),
@@ -219,7 +227,7 @@ def _simulation(result: SimulationResult) -> tuple[Section, ...]:
 
 
 def _assessment(assessment: Assessment) -> tuple[Section, ...]:
-    _, *known = outlook_sections(assessment.identifiability, None)
+    _, *known = _outlook(assessment.identifiability)
     provided = ("If the model is right:",) * assessment.contradicted
     said = assessment.held_fixed, assessment.prediction
     outlook = headline(assessment.identifiability)
@@ -231,13 +239,13 @@ def _assessment(assessment: Assessment) -> tuple[Section, ...]:
     )
 
 
-def outlook_sections(
-    outlook: Identifiability | None, ranking: Ranking | None
+def _outlook(
+    outlook: Identifiability | None, ranking: Ranking | None = None
 ) -> tuple[Section, ...]:
     """Write what data tell, or would tell, and which candidates tell more."""
     tree = []
     if outlook is not None:
-        tables = [_outlook(outlook)]
+        tables = [_outlook_table(outlook)]
         if outlook.budget is not None and outlook.n_data:
             tables.append(_goals.budget_table(outlook.budget))
         unseen = _blindness(outlook)
@@ -260,7 +268,7 @@ def outlook_sections(
     return *tree, *([] if outlook is None else [_inner(outlook)])
 
 
-def _outlook(outlook: Identifiability) -> Table:
+def _outlook_table(outlook: Identifiability) -> Table:
     """Tabulate what is known of each parameter."""
     rows, shares = [], []
     for p in outlook.parameters:
@@ -445,16 +453,16 @@ def notebook_html(result: object) -> str:
     return output(sections(result))
 
 
-_SECTIONS: dict[type, Callable[[Any], tuple[Section, ...]]] = {
-    CalibrationResult: lambda result: calibration_sections(result, assess(result)),
+_SECTIONS: dict[type, Callable[..., tuple[Section, ...]]] = {
+    CalibrationResult: _calibration,
     MultiStartResult: _search,
     SimulationResult: _simulation,
     DesignResult: design_sections,
     InverseResult: inverse_sections,
     TrajectoryResult: inverse_sections,
     Assessment: _assessment,
-    Identifiability: lambda outlook: outlook_sections(outlook, None),
-    Ranking: lambda ranking: outlook_sections(None, ranking),
+    Identifiability: _outlook,
+    Ranking: lambda ranking: _outlook(None, ranking),
     ModelComparison: _comparison,
     Transfer: _transfer,
     SweepResult: sweep_sections,

@@ -323,8 +323,7 @@ def write_sweep(
     tree = [s for s in tree if s.key != "means" or repeated]
     tree += _axes(result, figures)
     tree += [_trials(result, figures)] if result.rows else []
-    again = {"files": files, "out": f"{REPEATED}.sqlite"}
-    tree += closing("sweep", data, [made["source"]], **again)
+    tree += closing("sweep", data, files=files, out=f"{REPEATED}.sqlite")
     text = page(result.name, KIND, tree, index=database.name, units="SI")
     with replacing(path) as partial_file:
         partial_file.write_text(text, encoding="utf-8")

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from softcal_jax import export
+from softcal_jax._module import Result
 from softcal_jax._places import with_remedy
 from softcal_jax._text import SoftcalWarning
 from softcal_jax._tree import Section
@@ -45,11 +46,7 @@ from softcal_jax.report._html import (
     section_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._sections import (
-    calibration_sections,
-    outlook_sections,
-    sections,
-)
+from softcal_jax.report._sections import sections
 from softcal_jax.report._view import PageView, body_view
 
 REPORT = "report.html"  # name of the page in a results folder
@@ -67,7 +64,7 @@ class PictureWarning(SoftcalWarning):
 
 
 def write_results(
-    result: export.Result,
+    result: Result,
     directory: str | Path,
     *,
     name: str = "",
@@ -124,16 +121,15 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    kind, command = next(said for of, said in _KINDS.items() if isinstance(result, of))
     if isinstance(result, CalibrationResult):
         assessment = assessment or assess(result)
         notes = *result.notes, *notes
-    texts = {}
+    texts, shown = {}, _bodies(result)
     if isinstance(result, DesignResult):
-        source = None if project is None else project.source
+        source = project and project.source
         made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
-        if project is not None:
-            texts["project.toml"] = printed_project(project, result, Path(directory))
+        printed = project and printed_project(project, result, Path(directory))
+        texts = {"project.toml": printed} if printed else {}
     data = export.result_dict(
         result,
         name=name,
@@ -144,24 +140,65 @@ def write_results(
         directory=directory,
     )
     data["notes"] = notes
-    tree, shown = _tree(result, assessment, ranking), _bodies(result)
-    if shown is None:
-        stem = data["format"].partition(".")[2].partition("/")[0]
-        words = (str(part) for part in (name, result, ranking) if part)
-        texts[f"{stem}.txt"] = "\n\n".join(words) + "\n"
-    files, values = None, calibration and SourceFile.of(Path(calibration))
-    named = values and export.file_dict(values, directory)
+    kind, command = next(said for of, said in _KINDS.items() if isinstance(result, of))
+    index = re.split("[./]", data["format"])[1]  # softcal_jax.result/2
     if command in ("simulate", "inverse"):
-        data["calibration"] = named
-    if command == "simulate" and named:
-        options = ["--values", named["file"]]
-    if command == "inverse" and shown is not None:
-        files, poses = [named] if named else [], shown.configurations
-        data["configurations"] = [{"name": p.name, "role": p.role} for p in poses]
-    page = {"kind": kind, "command": command, "files": files, "options": options}
-    drawn = {"suffix": pictures, "progress": progress, "traces": traces}
-    more = {"texts": texts, "force": force}
-    return _write(shown, data, directory, tree, **page, **more, **drawn)
+        values = calibration and SourceFile.of(Path(calibration))
+        data["calibration"] = values and export.file_dict(values, directory)
+    if shown is None:
+        words = (str(part) for part in (name, result, ranking) if part)
+        texts[f"{index}.txt"] = "\n\n".join(words) + "\n"
+    else:
+        posed = [{"name": p.name, "role": p.role} for p in shown.configurations]
+        posed = data.get("configurations", posed)
+        data["configurations"] = [{**entry, "files": []} for entry in posed]
+    known = ranking if isinstance(result, Identifiability) else assessment
+    tree = sections(result, known)
+    ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
+
+    def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
+        names = [REPORT, *texts]
+        for file, content in texts.items():
+            (folder / file).write_text(content, encoding="utf-8")
+        if shown is not None:
+            names += export.write_csv(folder, shown.configurations)
+        data["files"] = [*names, *bodies]
+        pictures = [] if shown is None else pictures_of(data, folder, view)
+        every = [
+            *(section for section in tree if not section.title),
+            Section("notes", "Notes", tuple(data["notes"])),
+            *(s for s in tree if s.title and not s.folded and s.key != "notes"),
+            *(section for section, _ in pictures),
+            *(section for section in tree if section.folded),
+            *closing(command, data, options=options),
+        ]
+        whole = page(
+            data["name"],
+            kind,
+            every,
+            index=f"{index}.json",
+            units="SI" if command in ("design", "inverse") else "SI and mm",
+            drawn=ready | dict(pictures),
+            robot=view and view.content,
+            script=view.script if view else "",
+        )
+        (folder / REPORT).write_text(whole, encoding="utf-8")
+        export.write_json(folder / f"{index}.json", data)
+
+    with export.results_folder(directory, force=force) as folder:
+        write(folder)
+    if shown is None:
+        return Path(directory)
+    # No results are lost by what befalls the bodies, which take long and a larger disk.
+    kept = f"{directory} holds the results, without pictures and files for ParaView"
+    remedy = with_remedy(kept, "free disk space, and run this again")
+    draw = partial(_write_bodies, suffix=pictures, progress=progress, traces=traces)
+    try:
+        with export.results_folder(directory, force=True) as folder, remedy:
+            write(folder, *draw(folder, shown, data))
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"{kept}.") from error
+    return Path(directory)
 
 
 _KINDS: dict[type, tuple[str, str]] = {
@@ -177,18 +214,7 @@ _KINDS: dict[type, tuple[str, str]] = {
 """What was done, as a page says it, and the command that does it."""
 
 
-def _tree(
-    result: export.Result, assessment: Assessment | None, ranking: Ranking | None
-) -> tuple[Section, ...]:
-    """Write what a result says, and what is known of it besides."""
-    if isinstance(result, CalibrationResult) and assessment is not None:
-        return calibration_sections(result, assessment)
-    if isinstance(result, Identifiability):
-        return outlook_sections(result, ranking)
-    return sections(result)
-
-
-def _bodies(result: export.Result) -> CalibrationResult | SimulationResult | None:
+def _bodies(result: Result) -> CalibrationResult | SimulationResult | None:
     """Return the equilibria that a result has."""
     match result:
         case CalibrationResult() | SimulationResult():
@@ -213,72 +239,6 @@ def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
         about["name"] = f"goal {number}" if len(points) > 1 else "command"
         poses.append(replace(solved.configurations[0], **about))
     return SimulationResult(points[0].model, tuple(poses))
-
-
-def _write(
-    result: CalibrationResult | SimulationResult | None,
-    data: dict[str, Any],
-    directory: str | Path,
-    tree: Sequence[Section],
-    *,
-    kind: str,
-    command: str,
-    force: bool,
-    texts: Mapping[str, str],
-    files: Sequence[Mapping[str, str]] | None = None,
-    options: Sequence[str] = (),
-    **drawn: Any,
-) -> Path:
-    """Write the results, and then once more with the files of the bodies.
-
-    So no results are lost by what befalls those, which take long and a larger disk.
-    `texts` are files by name; `drawn` says how the bodies of a result are drawn. The
-    page says how to repeat the `command`, with its `files` and `options`.
-    """
-    kept = f"{directory} holds the results, without pictures and files for ParaView"
-    index = re.split("[./]", data["format"])[1] + ".json"  # softcal_jax.result/2
-    ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
-    sources = data["sources"].values() if "sources" in data else [data["source"]]
-
-    def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
-        names = [REPORT, *texts]
-        for file, content in texts.items():
-            (folder / file).write_text(content, encoding="utf-8")
-        if result is not None:
-            names += export.write_csv(folder, result.configurations)
-        data["files"] = [*names, *bodies]
-        pictures = [] if result is None else pictures_of(data, folder, view)
-        notes = Section("notes", "Notes", tuple(data["notes"]))
-        every = [
-            *(section for section in tree if not section.title),
-            notes,
-            *(s for s in tree if s.title and not s.folded and s.key != notes.key),
-            *(section for section, _ in pictures),
-            *(section for section in tree if section.folded),
-            *closing(command, data, sources, files=files, options=options),
-        ]
-        more = {section.key: content for section, content in pictures}
-        units = "SI" if command in ("design", "inverse") else "SI and mm"
-        about = {"index": index, "units": units, "drawn": ready | more}
-        if view is not None:
-            about |= {"robot": view.content, "script": view.script}
-        whole = page(data["name"], kind, every, **about)
-        (folder / REPORT).write_text(whole, encoding="utf-8")
-        export.write_json(folder / index, data)
-
-    for entry in data["configurations"] if result is not None else ():
-        entry["files"] = []
-    with export.results_folder(directory, force=force) as folder:
-        write(folder)
-    if result is None:
-        return Path(directory)
-    again = with_remedy(kept, "free disk space, and run this again")
-    try:
-        with export.results_folder(directory, force=True) as folder, again:
-            write(folder, *_write_bodies(folder, result, data, **drawn))
-    except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(f"{kept}.") from error
-    return Path(directory)
 
 
 def pictures_of(

@@ -22,7 +22,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause, ErrorColumns
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.report import calibration_sections, text
+from softcal_jax.report import sections, text
 from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 
@@ -286,7 +286,7 @@ def test_a_bound_that_the_data_exclude_makes_values_useless(model, data, good):
             assert verdict.outcome == outcome
             assert verdict.contradicted == (outcome == "do not use")
             (reason, *_) = [r for r in verdict.reasons if "bound" in r]
-            assert "nan" not in text(calibration_sections(result, verdict)[:3])
+            assert "nan" not in text(sections(result, verdict)[:3])
             if outcome == "do not use":
                 assert reason == verdict.reasons[0]
                 assert says(reason, "E of root ended on a bound", "data push")
