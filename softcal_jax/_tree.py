@@ -5,7 +5,7 @@ units and digits by `Column.texts`.
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,27 +21,50 @@ Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
 """How a text is meant; its words must say so too, as colours are not seen by all."""
 
 
+class Cell(NamedTuple):
+    """A value of a table of which more is to be said than by its column.
+
+    Attributes:
+        value: A number in SI, a vector of a few, or words; nan and None are missing.
+        unit: What it is, see `Column`, if that differs from row to row.
+        error: Its standard error, in SI; nan where none may be shown.
+        note: What stands behind it, like "(imposed)".
+        tone: How it is meant.
+        digits: Significant digits in an SI unit, if not those of its column.
+    """
+
+    value: Any
+    unit: str | None = None
+    error: float | None = None
+    note: str = ""
+    tone: Tone = "plain"
+    digits: int | None = None
+
+
 class Column(NamedTuple):
     """A column of a table.
 
     Attributes:
         title: Its head.
-        values: Numbers in SI, vectors of a few, or words; nan and None are missing.
-        quantity: What they are: a name in `QUANTITIES`, or an SI unit; one for each
-            value where these differ.
-        errors: Standard errors of the values, in SI; nan where none may be shown.
-        notes: What stands behind each value, like "(imposed)".
-        tones: How each value is meant.
+        content: A `Cell` for each row, or its value alone.
+        quantity: What the values are: a name in `QUANTITIES`, or an SI unit.
         digits: Significant digits of values in an SI unit.
     """
 
     title: str
-    values: Sequence[Any] | HostArray
-    quantity: str | Sequence[str] = ""
-    errors: Sequence[float] = ()
-    notes: Sequence[str] = ()
-    tones: Sequence[Tone] = ()
+    content: Sequence[Any] | HostArray
+    quantity: str = ""
     digits: int = 4
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Its cells."""
+        return [c if isinstance(c, Cell) else Cell(c) for c in self.content]
+
+    @property
+    def values(self) -> list[Any]:
+        """Its values: numbers in SI, vectors of a few, or words."""
+        return [cell.value for cell in self.cells]
 
     @property
     def holds_words(self) -> bool:
@@ -51,7 +74,7 @@ class Column(NamedTuple):
     @property
     def unit(self) -> str:
         """The unit in which all its values are written; empty where they differ."""
-        if not isinstance(self.quantity, str) or self.holds_words:
+        if self.holds_words or any(cell.unit is not None for cell in self.cells):
             return ""
         text = readable_values([0.0], self.quantity, beside=self._numbers())
         return text.partition(" ")[2]
@@ -65,22 +88,21 @@ class Column(NamedTuple):
 
         Without `units`, the unit is not written.
         """
-        one, texts = self.quantity if isinstance(self.quantity, str) else None, []
-        numbers = [] if one is None else self._numbers()
-        for k, value in enumerate(self.values):
-            quantity = self.quantity[k] if one is None else one
+        numbers, texts, unit = self._numbers(), [], "" if units else self.unit
+        for value, own, error, note, _, digits in self.cells:
+            quantity, beside = (self.quantity, numbers) if own is None else (own, [])
             if value is None or isinstance(value, str):
                 text = value or "-" * (value is None)
-            elif self.errors:
-                factor, unit = readable_unit(numbers or [value], quantity)
-                text = readable_estimate(factor * value, factor * self.errors[k], "")
-                text += f" {unit}"
+            elif error is not None:
+                factor, shown = readable_unit(beside or [value], quantity)
+                text = readable_estimate(factor * value, factor * error, "")
+                text += f" {shown}"
             else:
-                about = {"digits": self.digits, "beside": numbers}
+                about = {"digits": digits or self.digits, "beside": beside}
                 text = readable_values(np.ravel(value).tolist(), quantity, **about)
                 text = text.replace("unknown", "-")
-            text = text.rstrip() if units else text.removesuffix(f" {self.unit}")
-            texts.append(f"{text} {self.notes[k] if self.notes else ''}".rstrip())
+            text = text.rstrip() if units else text.removesuffix(f" {unit}")
+            texts.append(f"{text} {note}".rstrip())
         return texts
 
 
@@ -99,30 +121,23 @@ class Table(NamedTuple):
         rows: Iterable[Sequence[Any]],
         *,
         note: str = "",
-        units: Sequence[str] = (),
         digits: int = 4,
-        about: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> "Table":
         """Make a table of rows.
 
         Args:
             title: Its title.
             heads: Those of its columns, like "pose | area [m2]", with quantities.
-            rows: A value for each column.
+            rows: A value or `Cell` for each column.
             note: What stands below.
-            units: Those of the rows, for columns with "[*]".
             digits: Significant digits of values in an SI unit.
-            about: Further attributes of columns, like their `tones`, by their heads.
         """
         found = [re.fullmatch(r"(.*?) ?(?:\[(.+)\])?", h) for h in heads.split(" | ")]
         parts = [match.groups("") for match in found if match is not None]
         every = [*zip(*rows, strict=True)] or [()] * len(parts)
         columns = (
-            Column(
-                *(head, values, units if quantity == "*" else quantity),
-                **{"digits": digits, **(about or {}).get(head, {})},
-            )
-            for (head, quantity), values in zip(parts, every, strict=True)
+            Column(head, cells, quantity, digits)
+            for (head, quantity), cells in zip(parts, every, strict=True)
         )
         return cls(title, tuple(columns), note)
 
@@ -132,7 +147,7 @@ class Table(NamedTuple):
 
     def __bool__(self) -> bool:
         """Whether it has rows."""
-        return bool(self.columns) and len(self.columns[0].values) > 0
+        return bool(self.columns) and len(self.columns[0].content) > 0
 
 
 class Chart(NamedTuple):
@@ -167,6 +182,11 @@ class Section(NamedTuple):
     def __bool__(self) -> bool:
         """Whether it says anything."""
         return bool(self.text or self.charts) or any(self.tables)
+
+
+def verdict(sentence: str, tone: Tone, reasons: Iterable[str] = ()) -> Section:
+    """Begin a result with a sentence on it, and what there is to doubt."""
+    return Section("verdict", "", (sentence, *reasons), tone=tone)
 
 
 def listed_texts(text: Sequence[str]) -> list[tuple[str, bool]]:

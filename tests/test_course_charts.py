@@ -10,8 +10,12 @@ from wording import says
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.plotting import draw_budget, draw_course
-from softcal_jax.report._sections import MOST_PARAMETERS, budget_chart, course_charts
-from softcal_jax.report._verdict import end_of
+from softcal_jax.report._calibration import (
+    MOST_PARAMETERS,
+    budget_chart,
+    course_charts,
+    end_of,
+)
 
 NAMES = "rms", "lambda_p", "E", "nu"
 

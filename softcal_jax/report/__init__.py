@@ -7,7 +7,6 @@ from softcal_jax._tree import (
     Table as Table,
 )
 from softcal_jax.report._console import console as console, text as text
-from softcal_jax.report._goals import model_words as model_words
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,
@@ -22,6 +21,10 @@ from softcal_jax.report._outline import (
     outline as outline,
     roles_of as roles_of,
 )
+from softcal_jax.report._poses import (
+    held_out_sentences as held_out_sentences,
+    model_words as model_words,
+)
 from softcal_jax.report._sections import (
     Transfer as Transfer,
     notebook_html as notebook_html,
@@ -33,7 +36,6 @@ from softcal_jax.report._sweep import (
     sweep_sections as sweep_sections,
     write_sweep as write_sweep,
 )
-from softcal_jax.report._verdict import held_out_sentences as held_out_sentences
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_results as write_results,

@@ -90,8 +90,7 @@ def _drawn(table: Table, box: Box | None) -> Drawn:
         # Text, not str, which would read a name like "[a]" as markup.
         justify = "left" if k == 0 or column.holds_words else "right"
         drawn.add_column(Text(column.title), justify=justify)
-    tones = [column.tones or ["plain"] * len(column.values) for column in table.columns]
-    for row, toned in zip(table.rows(), zip(*tones, strict=True), strict=True):
-        styles = (STYLES[tone] for tone in toned)
-        drawn.add_row(*map(Text, row, styles))
+    cells = zip(*(column.cells for column in table.columns), strict=True)
+    for row, of in zip(table.rows(), cells, strict=True):
+        drawn.add_row(*map(Text, row, (STYLES[cell.tone] for cell in of)))
     return drawn

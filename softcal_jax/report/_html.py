@@ -132,7 +132,7 @@ def table_html(table: Table) -> Html:
     kinds = ["w" if is_words else "n" for is_words in words]
     heads = zip(table.columns, kinds, strict=True)
     head = (node("th", c.title, scope="col", class_=kind) for c, kind in heads)
-    tones = [c.tones or ["plain"] * len(c.values) for c in table.columns]
+    tones = [[cell.tone for cell in column.cells] for column in table.columns]
     rows, marked = [], False
     for texts, toned in zip(table.rows(), zip(*tones, strict=True), strict=True):
         (first, _, _), *others = zip(texts, toned, kinds, strict=True)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._tree import Section, Table
+from softcal_jax._tree import Cell, Section, Table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
@@ -169,13 +169,13 @@ def _actuators(model: Model) -> Table:
     lengths = np.linalg.norm(geometry.segments[:, 1] - geometry.segments[:, 0], axis=1)
     volumes_of = enclosed_volumes(actuators.groups, x)
     kinds = zip(actuators.names, actuators.kinds, strict=True)
-    rows, units = [], []
+    rows = []
     for a, (name, kind) in enumerate(kinds):
-        segments = lengths[geometry.segment_owner == a]
-        size = float(segments.sum()) if segments.size else volumes_of.get(a, "")
+        size, segments = Cell(volumes_of.get(a, ""), "m3"), geometry.segment_owner == a
+        if np.any(segments):
+            size = Cell(float(lengths[segments].sum()), "m")
         rows.append((name, kind.noun, size))
-        units.append("m" if segments.size else "m3")
-    return Table.of("Actuators", "name | kind | at rest [*]", rows, units=units)
+    return Table.of("Actuators", "name | kind | at rest", rows)
 
 
 def _placed(
@@ -188,13 +188,13 @@ def _placed(
     """List points at rest, and how far they are off the mesh."""
     off = locate(mesh, positions, max_distance=math.inf).distance
     rows = [
-        (name, place, float(distance) or "inside", note)
+        (name, place, Cell(float(distance) or "inside", digits=3), note)
         for name, place, distance, note in zip(
             names, positions, off, notes or [""] * len(names), strict=True
         )
     ]
-    heads, about = "name | at rest [m] | off the mesh [m] | ", {"digits": 3}
-    return Table.of(title, heads, rows, digits=5, about={"off the mesh": about})
+    heads = "name | at rest [m] | off the mesh [m] | "
+    return Table.of(title, heads, rows, digits=5)
 
 
 def _markers(
@@ -345,9 +345,10 @@ def _parameters(parameters: Sequence[Parameter]) -> Table:
             size = readable_values([float(q.prior_std)], "percent" if share else q.unit)
             prior = f"+- {size.rstrip()}"
         scale = f"{q.scale}, periodic" if q.periodic else q.scale
-        rows.append((q.name, *map(float, (q.start, q.lower, q.upper)), scale, prior))
-    heads = "name | start [*] | lower [*] | upper [*] | scale | prior"
-    return Table.of("Parameters", heads, rows, units=[q.unit for q in parameters])
+        ends = (Cell(float(end), q.unit) for end in (q.start, q.lower, q.upper))
+        rows.append((q.name, *ends, scale, prior))
+    heads = "name | start | lower | upper | scale | prior"
+    return Table.of("Parameters", heads, rows)
 
 
 def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
@@ -400,24 +401,22 @@ def mesh_section(mesh: TetMesh) -> Section:
     mean = readable_values([float(edges.mean())], "m", digits=3)
     volume = readable_values([float(volumes(mesh).sum())], "m3")
     text = f"{mesh.words}, mean edge length {mean}, volume {volume}"
-    rows, units = [], []
+    rows = []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)
         areas = face_shares(mesh, faces).sum(axis=1)
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
         place = readable_values(point.tolist(), "m")
-        rows.append((name, float(areas.sum()), f'a point on it: "{place}"'))
-        units.append("m2")
+        area = Cell(float(areas.sum()), "m2")
+        rows.append((name, area, f'a point on it: "{place}"'))
     for name, tets in mesh.tet_groups.items():
-        rows.append((name, float(volumes(mesh)[tets].sum()), f"{len(tets)} tets"))
-        units.append("m3")
+        volume = Cell(float(volumes(mesh)[tets].sum()), "m3")
+        rows.append((name, volume, f"{len(tets)} tets"))
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
             rows.append((name, f"{len(nodes)} nodes", ""))
-            units.append("")
-    table = Table.of("Groups", " | [*] | ", rows, units=units)
-    return Section("mesh", "", (text,), (table,))
+    return Section("mesh", "", (text,), (Table.of("Groups", " |  | ", rows),))
 
 
 def _sized(vector: Any, unit: str) -> str:

@@ -10,11 +10,10 @@ from typing import Any, get_args
 import numpy as np
 
 from softcal_jax._places import replacing
-from softcal_jax._tree import Chart, Column, Section, Table, Tone
+from softcal_jax._tree import Cell, Chart, Column, Section, Table, Tone, verdict
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.report._html import REPEATED, closing, node, page
-from softcal_jax.report._verdict import verdict
 from softcal_jax.sweeps import (
     FIT,
     HELD_OUT,
@@ -78,7 +77,7 @@ def sweep_sections(
         shown_rows = trial_table("Trials", result, chosen, result.rows)
     else:
         shown_rows = _mean_table(result, result.groups(by), chosen)
-        if len(result.rows) > len(shown_rows.columns[0].values):
+        if len(result.rows) > len(shown_rows.columns[0].content):
             text = "Mean ± standard deviation over the trials that converged."
             said.insert(0, text)
     tables, spread = [shown_rows] if result.rows else [], _spread_table(result)
@@ -103,11 +102,10 @@ def trial_table(
     rows: Sequence[TrialRow],
 ) -> Table:
     """Tabulate figures of some trials."""
-    tones: list[Tone] = [_TONES[row.state] for row in rows]
     points = {axis: [shown(row.point[axis]) for row in rows] for axis in result.axes}
     columns = [
         *(Column(axis, values) for axis, values in points.items()),
-        Column("outcome", [row.state for row in rows], tones=tones),
+        Column("outcome", [Cell(row.state, tone=_TONES[row.state]) for row in rows]),
         Column("time", [row.seconds for row in rows], "time"),
     ]
     for figure in figures:
@@ -116,11 +114,11 @@ def trial_table(
     return Table(title, tuple(columns))
 
 
-def _column(result: SweepResult, figure: str, values: Sequence[Any]) -> Column:
+def _column(result: SweepResult, figure: str, content: Sequence[Any]) -> Column:
     """Return values of a figure, under its name; an axis may have that, too."""
     words, unit = figure_name(figure)
     words += " found" * (words in result.axes)
-    return Column(words, values, unit.strip("-"), digits=5)
+    return Column(words, content, unit.strip("-"), digits=5)
 
 
 def _mean_table(
@@ -146,21 +144,21 @@ def _mean_table(
         if name == "trials" or any(n)
     ]
     for figure in figures:
-        each = [_mean(part, figure) for _, part in groups]
-        column = _column(result, figure, [mean for mean, _ in each])
-        columns.append(column._replace(errors=[std for _, std in each]))
+        means = [_mean(part, figure) for _, part in groups]
+        columns.append(_column(result, figure, means))
     return Table("Means", tuple(columns))
 
 
-def _mean(part: SweepResult, figure: str) -> tuple[Any, float]:
+def _mean(part: SweepResult, figure: str, unit: str | None = None) -> Cell:
     """Return the mean of a figure, and the standard deviation of several values."""
     if any(row.figures.get(figure) == OUT_OF_RANGE for row in part.rows):
-        return OUT_OF_RANGE, np.nan
+        return Cell(OUT_OF_RANGE)
     values = figure_values(part.of_state("converged"), figure)
     values = values[np.isfinite(values)]
     mean = float(np.mean(values)) if values.size else None
     spread = float(np.std(values, ddof=1)) if values.size > 1 else np.nan
-    return mean, 0.0 if mean and spread < ROUNDING * abs(mean) else spread
+    alike = mean and spread < ROUNDING * abs(mean)
+    return Cell(mean, unit, 0.0 if alike else spread)
 
 
 def _doubts(result: SweepResult) -> Iterator[str]:
@@ -250,18 +248,15 @@ def _best_trials(result: SweepResult) -> tuple[tuple[Table, ...], tuple[str, ...
 
 def _spread_table(result: SweepResult) -> Table:
     """Tabulate each figure over all trials that converged."""
-    rows, units, errors = [], [], []
+    rows = []
     for figure in default_figures(result):
         (name, unit), values = figure_name(figure), result.numbers(figure)
-        mean, error = _mean(result, figure)
         ends = values.min(), np.median(values), values.max()
-        rows.append((name, values.size, mean, *ends))
-        units.append(unit.strip("-"))
-        errors.append(error)
-    heads = "figure | trials | mean ± standard deviation [*] | least [*] | median [*]"
-    about = {"mean ± standard deviation": {"errors": errors}}
-    more = {"units": units, "digits": 5, "about": about}
-    return Table.of("Figures of the trials", f"{heads} | most [*]", rows, **more)
+        unit = unit.strip("-")
+        sizes = (Cell(float(end), unit) for end in ends)
+        rows.append((name, values.size, _mean(result, figure, unit), *sizes))
+    heads = "figure | trials | mean ± standard deviation | least | median | most"
+    return Table.of("Figures of the trials", heads, rows, digits=5)
 
 
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:

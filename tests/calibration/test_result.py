@@ -23,7 +23,7 @@ from softcal_jax.plotting import draw_errors
 from softcal_jax.plotting._configuration import motion_words
 from softcal_jax.report import held_out_sentences
 from softcal_jax.report._html import chart_html
-from softcal_jax.report._sections import error_charts
+from softcal_jax.report._poses import error_charts
 from softcal_jax.sensitivity import Response
 from softcal_jax.sweeps._row import HELD_OUT, _figures
 

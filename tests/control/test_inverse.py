@@ -25,7 +25,7 @@ from softcal_jax.control import (
     solve_inverse,
 )
 from softcal_jax.export import headline, off_words
-from softcal_jax.report._goals import goal_table
+from softcal_jax.report._sections import goal_table
 
 FINE = ControlSettings(tol=1e-6)
 FEW = ControlSettings(other_starts=3)

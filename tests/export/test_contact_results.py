@@ -17,7 +17,7 @@ from softcal_jax.export import (
     write_robot_vtu,
 )
 from softcal_jax.report import console as drawn, sections
-from softcal_jax.report._goals import robot_tables
+from softcal_jax.report._poses import robot_tables
 
 
 @pytest.fixture(scope="module")
