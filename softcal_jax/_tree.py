@@ -20,6 +20,8 @@ from softcal_jax._units import (
 Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
 """How a text is meant; its words must say so too, as colours are not seen by all."""
 
+MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
+
 
 class Cell(NamedTuple):
     """A value of a table of which more is to be said than by its column.

@@ -18,6 +18,7 @@ from robot_project import write_robot_project
 from scipy.spatial.transform import Rotation
 from wording import says
 
+from softcal_jax._units import readable_values
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.cli import main
 from softcal_jax.configurations import EffectorRecord
@@ -27,7 +28,7 @@ from softcal_jax.equilibrium import (
     Reaction,
     RobotState,
 )
-from softcal_jax.export import readable_values, result_dict, write_csv
+from softcal_jax.export import result_dict, write_csv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project

@@ -86,7 +86,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
-    from softcal_jax.export import readable_values
+    from softcal_jax._units import readable_values
 
     body, recorded = findings.body, findings.recorded
     sides = readable_values(np.ptp(body.mesh.points, axis=0).tolist(), "m")

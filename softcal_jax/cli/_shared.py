@@ -367,7 +367,7 @@ def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
 
 def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> str:
     """Format values on one line, with those of a field at control points together."""
-    from softcal_jax.export import readable_unit
+    from softcal_jax._units import readable_unit
 
     fields: dict[str, list[Parameter]] = {}
     for parameter in parameters:

@@ -1,10 +1,5 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
-from softcal_jax._units import (
-    readable_estimate as readable_estimate,
-    readable_unit as readable_unit,
-    readable_values as readable_values,
-)
 from softcal_jax.export._folder import (
     check_results_folder as check_results_folder,
     complete_results as complete_results,

@@ -64,7 +64,14 @@ def result_dict(
     match result:
         case CalibrationResult():
             kind, assessment = "result/2", assessment or assess(result)
-            content = _calibration(result, assessment)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                content = plain(result)  # an exact fit has no spread
+            content |= {
+                "solver": solver_dict(result.model),
+                "budget": _budget(result.budget),
+                "assessment": assessment,
+                "identifiability": assessment.identifiability,
+            }
             settings = {"calibration": result.settings, "newton": result.newton}
             settings["noise"] = result.uncertainty.noise
             made = Made(result.model, settings, result.source)
@@ -81,8 +88,13 @@ def result_dict(
             kind, content = "inverse/1", {"met": met, "points": [*map(_point, points)]}
             made = made or Made(points[0].model, {})
         case ModelComparison():
-            kind, content = "comparison/1", _comparison(result)
-            made = made or {}
+            kind, made = "comparison/1", made or {}
+            content = {
+                "verdict": headline(result),
+                **pick(result, "undecided models differences"),
+                "best": result.best and result.best.name,
+                "level": LEVEL_OF_COMPARISON,
+            }
         case Identifiability() | Ranking():
             kind, content = "identifiability/3", _outlook(result, ranking)
         case _:
@@ -98,62 +110,45 @@ def result_dict(
     )
 
 
-def _calibration(result: CalibrationResult, assessment: Assessment) -> dict[str, Any]:
-    with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
-        said = plain(result)
-    return {
-        **said,
-        "solver": solver_dict(result.model),
-        "budget": budget_dict(result.budget),
-        "assessment": assessment,
-        "identifiability": assessment.identifiability,
-    }
-
-
-def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
-    """Convert an error budget to a dictionary, in SI units."""
+def _budget(budget: ErrorBudget) -> dict[str, Any]:
     by_cause, total = budget.by_cause(), budget.standard_errors
-    return plain(
-        {
-            "parameters": [
-                {
-                    "name": name,
-                    "unit": budget.units[i],
-                    "standard_error": total[i],
-                    "by_cause": {cause: std[i] for cause, std in by_cause.items()},
-                    "sentence": budget.sentence(name),
-                }
-                for i, name in enumerate(budget.names)
-            ],
-            "errors": [
-                {
-                    "cause": cause.name,
-                    "name": error,
-                    "deviations": budget.slopes * cause.deviations[:, k],
-                }
-                for cause in budget.causes
-                for k, error in enumerate(cause.errors)
-            ],
-            "covariance": budget.covariance,
-        }
-    )
+    return {
+        "parameters": [
+            {
+                "name": name,
+                "unit": budget.units[i],
+                "standard_error": total[i],
+                "by_cause": {cause: std[i] for cause, std in by_cause.items()},
+                "sentence": budget.sentence(name),
+            }
+            for i, name in enumerate(budget.names)
+        ],
+        "errors": [
+            {
+                "cause": cause.name,
+                "name": error,
+                "deviations": budget.slopes * cause.deviations[:, k],
+            }
+            for cause in budget.causes
+            for k, error in enumerate(cause.errors)
+        ],
+        "covariance": budget.covariance,
+    }
 
 
 def _outlook(
     result: Identifiability | Ranking, ranking: Ranking | None
 ) -> dict[str, Any]:
     outlook = None if isinstance(result, Ranking) else result
-    ranking = result if isinstance(result, Ranking) else ranking
-    ranked = ranking and {
-        "candidates": ranking.gains,
-        "reached": ranking.reached,
-        "unranked": [
-            {"name": name, "reason": reason}
-            for name, reason in ranking.unranked.items()
-        ],
+    ranked = result if isinstance(result, Ranking) else ranking
+    budget = outlook and outlook.budget and _budget(outlook.budget)
+    left = ranked.unranked.items() if ranked else ()
+    said = ranked and {
+        "candidates": ranked.gains,
+        "reached": ranked.reached,
+        "unranked": [{"name": name, "reason": reason} for name, reason in left],
     }
-    budget = outlook and outlook.budget and budget_dict(outlook.budget)
-    return {"identifiability": outlook, "budget": budget, "ranking": ranked}
+    return {"identifiability": outlook, "budget": budget, "ranking": said}
 
 
 def bodies_of(result: DesignResult) -> SimulationResult:
@@ -202,16 +197,6 @@ def solver_dict(model: Model) -> dict[str, Any]:
         "formulation": model.formulation,
         "element_order": model.mesh.order,
         **pick(model.mesh, "n_nodes n_tets"),
-    }
-
-
-def _comparison(comparison: ModelComparison) -> dict[str, Any]:
-    best = comparison.best
-    return {
-        "verdict": headline(comparison),
-        **pick(comparison, "undecided models differences"),
-        "best": best and best.name,
-        "level": LEVEL_OF_COMPARISON,
     }
 
 

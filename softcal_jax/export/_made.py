@@ -18,7 +18,6 @@ from softcal_jax._module import Module
 from softcal_jax._process import cpu_name, installed_version
 from softcal_jax._text import as_cell
 from softcal_jax._tree import Table
-from softcal_jax._units import QUANTITIES
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -118,22 +117,6 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def versions(model: Model) -> dict[str, str]:
-    """List versions of Python and the numerical packages, and the machine.
-
-    The package of the model's sparse solver is one of them.
-    """
-    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", model.solver.name)]
-    return {
-        "python": platform.python_version(),
-        "softcal_jax": installed_version("softcal-jax"),
-        **{name: installed_version(name) for name in packages},
-        "platform": platform.platform(),
-        "cpu": cpu_name(),
-        "device": jax.devices()[0].device_kind,
-    }
-
-
 class Made(Module):
     """What a result was computed from and with.
 
@@ -153,37 +136,37 @@ def made_dict(
 ) -> dict[str, Any]:
     """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`, for results in a folder), `settings`, `versions`;
-    of several models by their names, and `sources`.
+    Keys: `source` (`project`, relative to the folder of the results, `files`, relative
+    to that of the project, `changes`), `settings`, `versions` of Python, the numerical
+    packages and the machine; of several models by their names, and `sources`.
     """
     if isinstance(made, Mapping):
         each = {model: made_dict(of, directory) for model, of in made.items()}
         of_all = lambda key: {model: of[key] for model, of in each.items()}
-        versions_of = (of["versions"].items() for of in each.values())
-        versions_of_all = dict(pair for pairs in versions_of for pair in pairs)
+        every = {k: v for of in each.values() for k, v in of["versions"].items()}
         both = {"sources": of_all("source"), "settings": of_all("settings")}
-        return {**both, "versions": versions_of_all}
+        return {**both, "versions": every}
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
-    return {
-        "source": source_dict(made.source, directory),
-        "settings": plain(made.settings),
-        "versions": versions(made.model),
+    source = made.source and {
+        "project": file_dict(made.source.project, directory),
+        "files": [
+            file_dict(file, made.source.project.path.parent)
+            for file in made.source.files
+        ],
+        "changes": plain(made.source.changes),
     }
-
-
-def source_dict(
-    source: ProjectSource | None, directory: str | Path = "."
-) -> dict[str, Any] | None:
-    """Convert what results were made from, see `project`, `files` and `changes`."""
-    if source is None:
-        return None
-    folder = source.project.path.parent
-    return {
-        "project": file_dict(source.project, directory),
-        "files": [file_dict(file, folder) for file in source.files],
-        "changes": plain(source.changes),
+    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", made.model.solver.name)]
+    versions = {
+        "python": platform.python_version(),
+        "softcal_jax": installed_version("softcal-jax"),
+        **{name: installed_version(name) for name in packages},
+        "platform": platform.platform(),
+        "cpu": cpu_name(),
+        "device": jax.devices()[0].device_kind,
     }
+    settings = plain(made.settings)
+    return {"source": source, "settings": settings, "versions": versions}
 
 
 def file_dict(file: SourceFile, directory: str | Path = ".") -> dict[str, str]:
@@ -239,7 +222,7 @@ def write_csv(folder: Path, configurations: Sequence[ConfigurationResult]) -> li
     }
     written = {name: table for name, table in tables.items() if table}
     for name, table in written.items():
-        write_rows(folder / name, *csv_rows(table))
+        _write_table(folder / name, table)
     return [*written]
 
 
@@ -276,15 +259,15 @@ def _components(
             yield part, of.name, what, name, value, unit
 
 
-def csv_rows(table: Table) -> tuple[list[str], Iterable[tuple[str, ...]]]:
-    """Return heads and rows of a table, in SI but for distances; none is empty."""
+def _write_table(path: Path, table: Table) -> None:
+    """Write a table as CSV, in SI, but distances in mm."""
     heads, columns = [], []
     for column in table.columns:
-        unit, factor, _ = QUANTITIES.get(str(column.quantity), ("", 1.0, 4))
-        form = ".6f" if unit == "mm" else ".9g"
-        heads.append(f"{column.title}_{unit}" if unit == "mm" else column.title)
+        in_mm = column.quantity == "distance"
+        factor, form = (1e3, ".6f") if in_mm else (1.0, ".9g")
+        heads.append(f"{column.title}_mm" if in_mm else column.title)
         columns.append([_cell(value, factor, form) for value in column.values])
-    return heads, zip(*columns, strict=True)
+    write_rows(path, heads, zip(*columns, strict=True))
 
 
 def _cell(value: Any, factor: float, form: str) -> str:

@@ -108,7 +108,11 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     vectors = {f"axis_{k + 1}": axes[:, k] for k in range(3)}
     vectors["arrow"] = np.concatenate([np.zeros((n_b, 3)), after.arrows])
     if mechanism.contacts.n_obstacles:
-        vectors |= _felt(mechanism.bodies.names, state)
+        felt = {contact.name: contact for contact in state.contacts}
+        for what in ("force", "moment"):  # zero where nothing touches a body
+            of = (felt.get(name) for name in mechanism.bodies.names)
+            sizes = [getattr(contact, what, np.zeros(3)) for contact in of]
+            vectors[f"contact_{what}"] = np.array(sizes)
 
     # Kind and points of the cells, and the index of the actuator of each, -1 for none.
     vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
@@ -163,13 +167,6 @@ def read_displacement(path: str | Path, model: Model) -> Float[HostArray, "n_poi
     if u.shape != rest.shape or not np.array_equal(body.points, model.mesh.points):
         raise ValueError(f"{path} is of another mesh than the model")
     return u
-
-
-def _felt(bodies: Sequence[str], state: RobotState) -> dict[str, HostArray]:
-    """Return forces and moments on bodies, zero where nothing touches one."""
-    felt = {contact.name: contact for contact in state.contacts}
-    of = lambda what: [getattr(felt.get(name), what, np.zeros(3)) for name in bodies]
-    return {f"contact_{what}": np.array(of(what)) for what in ("force", "moment")}
 
 
 def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:

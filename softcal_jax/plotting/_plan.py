@@ -11,6 +11,7 @@ from scipy.spatial.distance import cdist
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.bodies import BodyStateArrays
 from softcal_jax.configurations import (
     BodyFrame,
@@ -23,7 +24,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import ContactState, HalfSpace
 from softcal_jax.equilibrium import Model, RobotState, actuator_states
-from softcal_jax.export import fibre_directions, readable_values
+from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import (

@@ -7,11 +7,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import AbstractLoad, Configuration, Support
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
-from softcal_jax.export import readable_values
 from softcal_jax.mesh import TetMesh, node_indices
 from softcal_jax.plotting._figure import (
     FORCE,

@@ -1,6 +1,7 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
 from softcal_jax._tree import (
+    Cell as Cell,
     Chart as Chart,
     Column as Column,
     Section as Section,
@@ -27,7 +28,6 @@ from softcal_jax.report._poses import (
 )
 from softcal_jax.report._sections import (
     Transfer as Transfer,
-    notebook_html as notebook_html,
     sections as sections,
     transfer as transfer,
 )
@@ -38,5 +38,6 @@ from softcal_jax.report._sweep import (
 )
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
+    notebook_html as notebook_html,
     write_results as write_results,
 )

@@ -94,7 +94,12 @@ def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, 
     """Say what a calibration answers, in the order in which it is read."""
     every = result.parameters
     shown, more = every[:MOST_VALUES], len(every) - MOST_VALUES
-    rows = [(p.name, value_cell(p), _interval_of(p)) for p in shown]
+    rows = []
+    for p in shown:
+        level, interval = "", p.interval
+        if interval is not None and interval.kind != "none":
+            level = f"{100.0 * interval.level:g} % interval {interval}"
+        rows.append((p.name, value_cell(p), level))
     note = f"and {more} more." if more > 0 else ""
     values = Table.of("", "parameter | value | interval", rows, note=note)
     none = "Held-out error: unknown, because every pose was used in the fit."
@@ -132,20 +137,11 @@ def _subject(result: CalibrationResult, outlook: Identifiability) -> Table:
 
 def value_cell(parameter: ParameterEstimate, tone: Tone = "plain") -> Cell:
     """Show a value, its error where it may be shown, and what is on a bound."""
-    p, note = parameter, ""
-    if p.at_bound or p.given:
-        note = (
-            "(on a bound)" if p.at_bound else f"(with {', '.join(p.given)} on a bound)"
-        )
+    p = parameter
+    note = f"(with {', '.join(p.given)} on a bound)" if p.given else ""
+    note = "(on a bound)" if p.at_bound else note
     error = p.standard_error if p.is_symmetric else math.nan
     return Cell(p.value, p.unit, error, note, tone)
-
-
-def _interval_of(parameter: ParameterEstimate) -> str:
-    interval = parameter.interval
-    if interval is None or interval.kind == "none":
-        return ""
-    return f"{100.0 * interval.level:g} % interval {interval}"
 
 
 def verdict_of(assessment: Assessment) -> Section:

@@ -10,7 +10,7 @@ from rich.table import Table as Drawn
 from rich.text import Text
 
 from softcal_jax._text import escaped
-from softcal_jax._tree import Section, Table, Tone, listed_texts
+from softcal_jax._tree import MOST_REASONS, Section, Table, Tone, listed_texts
 
 STYLES: dict[Tone, str] = {
     "plain": "",
@@ -20,8 +20,6 @@ STYLES: dict[Tone, str] = {
     "bad": "bold red",
 }
 """Styles of the tones in a terminal."""
-
-MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
 
 
 def console(tree: Sequence[Section], *, short: bool = False) -> Group:
@@ -64,15 +62,10 @@ def _parts(section: Section, box: Box | None, most: int | None) -> Iterator[Any]
         if table.title:
             yield _drawn(table, box)
         else:
-            yield from _lines(table)
+            for name, value, more in table.rows():
+                yield Text(f"{name} = {value}{f' ({more})' * bool(more)}")
         if table.note:
             yield Text(table.note)
-
-
-def _lines(table: Table) -> Iterator[Text]:
-    """Write values that a result begins with, a line each."""
-    for name, value, more in table.rows():
-        yield Text(f"{name} = {value}{f' ({more})' * bool(more)}")
 
 
 def _drawn(table: Table, box: Box | None) -> Drawn:

@@ -16,14 +16,13 @@ from typing import Any
 
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._tree import Chart, Section, Table, listed_texts
+from softcal_jax._tree import MOST_REASONS, Chart, Section, Table, listed_texts
 from softcal_jax.plotting import PictureStyle
 
 REPEATED = "repeated"  # folder that the command to repeat a run writes to
 _CHART, _SMALL = (PictureStyle(width, font_size=10.0) for width in (150.0, 100.0))
 _WIDE = 2  # most charts of a section that are as wide as the page
 _LARGE = 3  # most values that are written in large type
-_MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
 _COMMANDS = "repeat"  # a section whose list is one of commands
 _MARKED = "A triangle marks values that should not be used as they are."
 _KINDS = {
@@ -221,26 +220,12 @@ def page(
     return f"<!DOCTYPE html>\n{whole}\n"
 
 
-def output(tree: Sequence[Section]) -> Html:
-    """Write what a cell of a notebook shows: all of a tree that is not folded."""
-    shown = [s for s in tree if s and s.title and not s.folded]
-    head = head_html([section for section in tree if not section.title])
-    return fragment([*head, *map(section_html, shown)])
-
-
-def fragment(content: Iterable[Html]) -> Html:
-    """Write a part of another page in the style of ours, whatever its own style is."""
-    style = Html(f"@scope (.softcal) {{\n{resource('page.css')}}}")
-    plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
-    return node("div", node("style", style), *content, class_="softcal", style=plain)
-
-
 def head_html(head: Sequence[Section]) -> list[Html]:
     """Write what a result begins with: its verdict, and values in large type.
 
     Reasons beyond the first few are folded where there is more than a verdict.
     """
-    most = _MOST_REASONS if len(head) > 1 else None
+    most = MOST_REASONS if len(head) > 1 else None
     parts: list[Html] = []
     for section in head:
         if section.key == "verdict":

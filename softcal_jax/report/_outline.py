@@ -11,6 +11,7 @@ import numpy as np
 from softcal_jax._lanes import lane_of
 from softcal_jax._tree import Cell, Section, Table
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -25,7 +26,6 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model, omission_sentences, omissions
-from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
@@ -41,10 +41,13 @@ _QUANTITIES = {"point": "position", "turn": "orientation", "scalar": "value"}
 
 def roles_of(project: Project) -> dict[str, str]:
     """Return the role of each configuration and candidate in words, by its name."""
-    groups = (project.calibration, project.validation, project.candidates)
-    groups += (project.asked.goals,)
-    words = list(ROLES.values())[: len(groups)]
-    return {c.name: word for word, of in zip(words, groups, strict=True) for c in of}
+    groups = {
+        "calibration": project.calibration,
+        "validation": project.validation,
+        "candidate": project.candidates,
+        "design": project.asked.goals,
+    }
+    return {c.name: ROLES[role] for role, of in groups.items() for c in of}
 
 
 def control_point_sets(project: Project) -> dict[str, ControlPoints]:

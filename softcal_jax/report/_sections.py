@@ -36,7 +36,6 @@ from softcal_jax.report._calibration import (
     outlook_sections,
     search_sections,
 )
-from softcal_jax.report._html import output
 from softcal_jax.report._poses import (
     MOVED,
     actuator_cells,
@@ -64,17 +63,6 @@ def sections(
         raise TypeError(f"a {type(result).__name__} is no result that has sections.")
     write = _SECTIONS[type(result)]
     return write(result) if known is None else write(result, known)
-
-
-def notebook_html(result: object) -> str:
-    """Write a result as the output of a cell: verdict, tables and charts.
-
-    It is HTML that needs no other file; `write_results` writes the whole page.
-
-    Raises:
-        TypeError: If there is no output for such a result.
-    """
-    return output(sections(result))
 
 
 def _design(result: DesignResult) -> tuple[Section, ...]:
@@ -203,7 +191,13 @@ def _inverse(result: InverseResult | TrajectoryResult) -> tuple[Section, ...]:
     tried = [(a.way, a.n_steps, a.error) for a in result.attempts]
     heads = "started from | steps | largest error, in standard deviations [ratio]"
     search = (Table.of("Descents", heads, tried),)
-    tables = goal_table(result.goals), _actuators(result)
+    rows = []
+    for state in result.actuators:
+        commanded = state.name in result.configuration.actuation
+        kind = f"{state.kind}{', not commanded' * (not commanded)}"
+        rows.append((state.name, kind, *actuator_cells(state)))
+    actuators = Table.of("Actuators", f"actuator | kind | {MOVED}", rows)
+    tables = goal_table(result.goals), actuators
     return (
         verdict(headline(result), "good" if result.met else "doubtful", inputs),
         Section("goals", "Goals and commands", reached, tables),
@@ -260,15 +254,6 @@ def _coordinates(fit: GoalFit, values: Any, beside: Any) -> str:
     known = np.concatenate(beside)
     text = readable_values(values[seen].tolist(), fit.effector.unit, beside=known)
     return f"{axes}{text.rstrip()}"
-
-
-def _actuators(result: InverseResult) -> Table:
-    rows = []
-    for state in result.actuators:
-        commanded = state.name in result.configuration.actuation
-        kind = f"{state.kind}{', not commanded' * (not commanded)}"
-        rows.append((state.name, kind, *actuator_cells(state)))
-    return Table.of("Actuators", f"actuator | kind | {MOVED}", rows)
 
 
 def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:

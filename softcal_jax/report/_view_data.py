@@ -15,10 +15,11 @@ import numpy as np
 from softcal_jax import plotting
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import fibre_directions, readable_values
+from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import TetMesh
 from softcal_jax.report._view_fields import Field, Surface
 

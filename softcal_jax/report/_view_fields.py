@@ -9,6 +9,7 @@ import numpy as np
 
 from softcal_jax import export
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable_unit
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
@@ -179,7 +180,7 @@ def _of_faces(
     """Convert values of faces to a readable unit; rigid faces get no value."""
     present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
     finite = np.abs(present[np.isfinite(present)])
-    factor, shown = export.readable_unit([float(finite.max(initial=0.0))], unit)
+    factor, shown = readable_unit([float(finite.max(initial=0.0))], unit)
     converted = tuple(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values

@@ -40,9 +40,11 @@ from softcal_jax.report._html import (
     closing,
     figure,
     framed,
+    head_html,
     node,
     page,
     picture,
+    resource,
     section_html,
 )
 from softcal_jax.report._outline import ROLES
@@ -124,7 +126,8 @@ def write_results(
     if isinstance(result, CalibrationResult):
         assessment = assessment or assess(result)
         notes = *result.notes, *notes
-    texts, shown = {}, _bodies(result)
+    kind, command, bodies_of = _KINDS[type(result)]
+    texts, shown = {}, bodies_of(result)
     if isinstance(result, DesignResult):
         source = project and project.source
         made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
@@ -140,7 +143,6 @@ def write_results(
         directory=directory,
     )
     data["notes"] = notes
-    kind, command = next(said for of, said in _KINDS.items() if isinstance(result, of))
     index = re.split("[./]", data["format"])[1]  # softcal_jax.result/2
     if command in ("simulate", "inverse"):
         values = calibration and SourceFile.of(Path(calibration))
@@ -152,7 +154,7 @@ def write_results(
         posed = [{"name": p.name, "role": p.role} for p in shown.configurations]
         posed = data.get("configurations", posed)
         data["configurations"] = [{**entry, "files": []} for entry in posed]
-    known = ranking if isinstance(result, Identifiability) else assessment
+    known = {CalibrationResult: assessment, Identifiability: ranking}.get(type(result))
     tree = sections(result, known)
     ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
 
@@ -201,29 +203,24 @@ def write_results(
     return Path(directory)
 
 
-_KINDS: dict[type, tuple[str, str]] = {
-    CalibrationResult: ("Calibration", "calibrate"),
-    SimulationResult: ("Simulation", "simulate"),
-    DesignResult: ("Design", "design"),
-    InverseResult: ("Inverse control", "inverse"),
-    TrajectoryResult: ("Inverse control", "inverse"),
-    Identifiability: ("Identifiability", "identify"),
-    Ranking: ("Identifiability", "identify"),
-    ModelComparison: ("Comparison of models", "compare"),
-}
-"""What was done, as a page says it, and the command that does it."""
+def notebook_html(result: object) -> str:
+    """Write a result as the output of a cell: all of its sections that are not folded.
 
+    It is HTML that needs no other file, in the style of our pages, whatever that of the
+    page around it is; `write_results` writes the whole page.
 
-def _bodies(result: Result) -> CalibrationResult | SimulationResult | None:
-    """Return the equilibria that a result has."""
-    match result:
-        case CalibrationResult() | SimulationResult():
-            return result
-        case DesignResult():
-            return export.bodies_of(result)
-        case InverseResult() | TrajectoryResult():
-            return _commanded(result)
-    return None
+    Raises:
+        TypeError: If there is no output for such a result.
+    """
+    tree = sections(result)
+    style = Html(f"@scope (.softcal) {{\n{resource('page.css')}}}")
+    content = (
+        node("style", style),
+        *head_html([section for section in tree if not section.title]),
+        *(section_html(s) for s in tree if s and s.title and not s.folded),
+    )
+    plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
+    return node("div", *content, class_="softcal", style=plain)
 
 
 def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
@@ -239,6 +236,21 @@ def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
         about["name"] = f"goal {number}" if len(points) > 1 else "command"
         poses.append(replace(solved.configurations[0], **about))
     return SimulationResult(points[0].model, tuple(poses))
+
+
+_Bodies = CalibrationResult | SimulationResult
+
+_KINDS: dict[type, tuple[str, str, Callable[[Any], _Bodies | None]]] = {
+    CalibrationResult: ("Calibration", "calibrate", lambda result: result),
+    SimulationResult: ("Simulation", "simulate", lambda result: result),
+    DesignResult: ("Design", "design", export.bodies_of),
+    InverseResult: ("Inverse control", "inverse", _commanded),
+    TrajectoryResult: ("Inverse control", "inverse", _commanded),
+    Identifiability: ("Identifiability", "identify", lambda _: None),
+    Ranking: ("Identifiability", "identify", lambda _: None),
+    ModelComparison: ("Comparison of models", "compare", lambda _: None),
+}
+"""What was done, as a page says it, the command that does it, and its equilibria."""
 
 
 def pictures_of(
