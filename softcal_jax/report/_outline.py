@@ -366,9 +366,8 @@ def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
             yield from ((q.key, f'"{q.typed}"', q.read) for q in members)
 
 
-def _commands(project: Project) -> list[tuple[str, str]]:
+def _commands(project: Project) -> Iterator[tuple[str, str]]:
     """Say for which commands the project has all that is needed."""
-    rows = []
     for command, check in (
         ("simulate", project.check_simulation),
         ("identify", project.check_identify),
@@ -377,21 +376,20 @@ def _commands(project: Project) -> list[tuple[str, str]]:
     ):
         try:
             check()
-            rows.append((f"softcal {command}", "ready to run"))
+            yield f"softcal {command}", "ready to run"
         except ProjectError as error:
             text = str(error).removeprefix(f"{project.path}: ")
             first, *others = [line.strip() for line in text.splitlines()]
             # Where there are several, the first line only counts them.
-            rows.append((f"softcal {command}", f"would refuse: {first}"))
-            rows += [("", other) for other in others]
+            yield f"softcal {command}", f"would refuse: {first}"
+            yield from (("", other) for other in others)
     mechanism = project.model.mechanism
     obstacles, bodies = mechanism.contacts.names, mechanism.bodies.names
     if bodies:
         programs = "SOFA, MuJoCo, CalculiX or Abaqus"
         what = "contact with obstacles" if obstacles else "rigid bodies"
         plain = f"not for {programs}: {what} ({', '.join(obstacles or bodies)})"
-        rows.append(("softcal export", plain))
-    return rows
+        yield "softcal export", plain
 
 
 def mesh_section(mesh: TetMesh) -> Section:

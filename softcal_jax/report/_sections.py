@@ -291,19 +291,13 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
     )
 
 
-def _failures(result: ModelComparison) -> list[str]:
+def _failures(result: ModelComparison) -> Iterator[str]:
     """Say which fits failed and why, one sentence each."""
-    lines = []
     for model in result.models:
-        lines += [
-            f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
-            for fold in model.failed
-        ]
+        for fold in model.failed:
+            yield f"{model.name!r}, {fold.held_out} held out: {fold.failure}."
         if model.fit_failure:
-            lines.append(
-                f"{model.name!r}, all configurations fitted: {model.fit_failure}."
-            )
-    return lines
+            yield f"{model.name!r}, all configurations fitted: {model.fit_failure}."
 
 
 class Transfer(Result):
