@@ -180,7 +180,7 @@ def write_results(
             every,
             index=f"{index}.json",
             units="SI" if command in ("design", "inverse") else "SI and mm",
-            drawn=ready | dict(pictures),
+            drawn=ready | {section.key: drawn for section, drawn in pictures},
             robot=view and view.content,
             script=view.script if view else "",
         )
