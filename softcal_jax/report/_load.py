@@ -159,8 +159,9 @@ def load_result(
                 "space.model_at(model, space.to_scaled(values)); or describe them in a "
                 "project file, and calibrate that."
             )
-        beside = path.parent.resolve() / source["project"]["file"]
-        project = os.path.normpath(beside if project is None else project)
+        if project is None:
+            beside = path.parent.resolve() / source["project"]["file"]
+            project = os.path.normpath(beside)
         _check_unchanged(path, Path(project), source)
         missed = {c["name"]: c["rms_after_mm"] for c in data["configurations"]}
         errors = {k: math.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
@@ -173,8 +174,9 @@ def load_result(
         doubts = tuple(map(str, said["reasons"]))
         C = np.array(data["budget"]["covariance"], float)
         solver, version = {**data["solver"]}, data["versions"]["softcal_jax"]
+        changes = {**source["changes"]}
     # With `changes`, even empty ones, `load_project` does not warn a second time.
-    loaded = load_project(project, changes=source["changes"])
+    loaded = load_project(project, changes=changes)
     space = _checked_space(path, loaded, [*values], solver, version)
     z = space.to_scaled(jnp.asarray([*values.values()]))
     return LoadedResult(
