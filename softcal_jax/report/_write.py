@@ -293,7 +293,7 @@ def pictures_of(
 
 def _write_bodies(
     folder: Path,
-    result: CalibrationResult | SimulationResult,
+    result: _Bodies,
     data: dict[str, Any],
     *,
     suffix: Picture | None,
@@ -311,7 +311,7 @@ def _write_bodies(
     if problem is not None:
         left_out = ", ".join(f"{stem}.{suffix}" for stem in moved)
         problem = f"left out: {left_out}; {problem}"
-        warnings.warn(problem, PictureWarning, stacklevel=4)  # before the work is done
+        warnings.warn(problem, PictureWarning, stacklevel=3)  # before the work is done
     data["notes"] = [*data["notes"], *([problem] if problem else [])]
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors, files, bodies = None, [], []
