@@ -13,6 +13,7 @@ from softcal_jax.plotting._calibration import (
 from softcal_jax.plotting._configuration import (
     LABELS as LABELS,
     NOT_CONVERGED as NOT_CONVERGED,
+    marker_places as marker_places,
     motion_words as motion_words,
     plot_groups as plot_groups,
     render_body as render_body,
@@ -33,18 +34,12 @@ from softcal_jax.plotting._figure import (
 )
 from softcal_jax.plotting._plan import (
     MOST_PANELS as MOST_PANELS,
-    PlacedObstacle as PlacedObstacle,
-    obstacle_surface as obstacle_surface,
-    obstacles_at as obstacles_at,
     plot_plan as plot_plan,
 )
 from softcal_jax.plotting._robot import (
     RobotPicture as RobotPicture,
-    actuator_words as actuator_words,
-    load_place as load_place,
-    pushes as pushes,
+    obstacle_surface as obstacle_surface,
     robot_picture as robot_picture,
-    sensor_frames as sensor_frames,
 )
 from softcal_jax.plotting._scene import (
     RenderingError as RenderingError,

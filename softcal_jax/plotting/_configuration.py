@@ -14,8 +14,7 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import (
@@ -27,11 +26,6 @@ from softcal_jax.plotting._figure import (
     add_view,
     in_points,
     printed,
-)
-from softcal_jax.plotting._plan import (
-    name_obstacles,
-    obstacles_at,
-    placed_surfaces,
 )
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, fit_body
@@ -237,29 +231,39 @@ def render_configuration(
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
-    points = result.points
-    # A coordinate that was not measured does not contribute to the drawn distance.
-    measured = [
-        np.where(p.seen, p.measured, p.simulated) if p.seen.any() else p.measured
-        for p in points
-    ]
-    fitted = result.role != "simulation"
+    measured, simulated = marker_places(result)
     render_body(
         model,
         result.displacement,
         path,
         title=result.name + _ROLES[result.role] if titled else "",
         subtitle=motion_words(result) if titled else "",
-        measured=np.array(measured) if points and fitted else None,
-        simulated=np.array([p.simulated for p in points]) if points else None,
-        marker_names=[p.name for p in points],
+        measured=measured if result.role != "simulation" else None,
+        simulated=simulated,
+        marker_names=[p.name for p in result.points],
         labels=LABELS.get(result.role, LABELS[""]),
         warning="" if converged else NOT_CONVERGED,
-        robot=result.robot,
-        sensors=robots.sensor_frames(result),
-        posed=result.posed,
+        picture=robots.robot_picture(model, result),
         style=style,
     )
+
+
+def marker_places(
+    result: ConfigurationResult,
+) -> tuple[Float[HostArray, "n 3"], Float[HostArray, "n 3"]]:
+    """Return measured and simulated places of all points, NaN where there is none [m].
+
+    A coordinate that was not measured does not contribute to the drawn distance.
+    """
+    points, none = result.points, np.full(3, np.nan)
+    simulated = [p.simulated if result.converged else none for p in points]
+    measured = [
+        np.where(p.seen, p.measured, x)
+        if p.seen.any() and result.role != "simulation"
+        else none
+        for p, x in zip(points, simulated, strict=True)
+    ]
+    return np.reshape(measured, (-1, 3)), np.reshape(simulated, (-1, 3))
 
 
 NOT_CONVERGED = "NOT CONVERGED: do not use these values"
@@ -312,9 +316,7 @@ def render_body(
     simulated: Float[HostArray, "n_markers 3"] | None = None,
     marker_names: Sequence[str] = (),
     warning: str = "",
-    robot: RobotState | None = None,
-    sensors: Sequence[robots.SensorFrame] = (),
-    posed: Configuration | None = None,
+    picture: robots.RobotPicture | None = None,
     labels: tuple[str, str] = LABELS[""],
     style: PictureStyle = SCREEN,
 ) -> None:
@@ -330,9 +332,8 @@ def render_body(
         simulated: Simulated marker positions [m].
         marker_names: Names beside the markers.
         warning: Printed large and red above the title.
-        robot: Rigid bodies, drawn grey, obstacles, and actuators with their forces.
-        sensors: Poses of 6-D sensors.
-        posed: The configuration, whose supports, dead loads and gravity are drawn.
+        picture: What acts on the body and stands beside it, as `robot_picture` collects
+            it.
         labels: What the legend calls `measured` and `simulated`.
         style: Width, size of words, resolution, and where the body is seen from.
 
@@ -345,19 +346,16 @@ def render_body(
     simulated = none if simulated is None else simulated
     markers = np.concatenate([measured, simulated])
     more = [markers[np.isfinite(markers).all(axis=1)]]
-    picture = None if robot is None else robots.robot_picture(model, robot)
+    gravity = ()
     if picture is not None:
         more.append(picture.points)
-    x = model.mesh.points + u
-    if posed is not None:
-        more += [robots.load_place(load, model.mesh, x)[0] for load in posed.loads]
-    gravity = () if posed is None else posed.gravity
+        gravity = () if picture.posed is None else picture.posed.gravity
     view = choose_view(model.mesh.points, u, np.vstack(more), gravity, style.seen_from)
     width = style.pixels - _SIDE
     lowest, highest = _LOWEST * style.pixels, max(_HIGHEST * style.pixels, _TALL)
     scale, height = fit_body(view, width, _MARGIN, lowest, highest)
     largest = float(np.linalg.norm(u, axis=1).max())
-    around = [] if robot is None else obstacles_at(model, robot)
+    around = () if picture is None else picture.obstacles
     with printed(path, style, height=height / style.pixels) as figure:
         pixels = body_image(
             model,
@@ -367,7 +365,7 @@ def render_body(
             scale=scale,
             largest=largest,
             finer=style.dpi / figure.dpi,
-            obstacles=placed_surfaces(model, around),
+            obstacles=robots.placed_surfaces(model, around),
         )
         body = add_view(figure, 0, 0, width, height, scale=scale)
         extent = (*body.get_xlim(), *body.get_ylim())
@@ -385,12 +383,9 @@ def render_body(
             drawn.append("rigid body")
         if around:
             drawn.append("obstacle")
-            name_obstacles(body, view, model, around)
-        if posed is not None:
-            drawn += robots.draw_setup(body, view, posed, model.mesh, x)
         if picture is not None:
+            robots.name_obstacles(body, view, picture)
             drawn += robots.draw_robot(body, view, picture)
-        drawn += robots.draw_sensors(body, view, sensors)
         flat = view.project(measured), view.project(simulated)
         figures.draw_markers(body, *flat, marker_names)
         figures.separate_names(body)

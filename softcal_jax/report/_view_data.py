@@ -17,10 +17,8 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import fibre_directions
-from softcal_jax.mesh import TetMesh
+from softcal_jax.export import fibre_directions, readable_values
 from softcal_jax.report._view_fields import Field, Surface
 
 _MOST = 65535  # largest number of 16 bits; in a field, there is no value
@@ -128,17 +126,12 @@ def _field(field: Field) -> dict[str, Any]:
 
 def _markers(pose: ConfigurationResult) -> list[dict[str, Any]]:
     """List measured and simulated points, as the pictures show them [mm]."""
-    rows = []
-    for point in pose.points:
-        simulated = point.simulated if pose.converged else np.full(3, np.nan)
-        measured = np.full(3, np.nan)
-        if pose.role != "simulation" and point.seen.any():
-            # Coordinates that were not measured do not count in the distance.
-            measured = np.where(point.seen, point.measured, simulated)
-        places = {"measured": measured, "simulated": simulated}.items()
-        known = {key: _mm(x) if np.isfinite(x).all() else None for key, x in places}
-        rows.append({"name": escaped(point.name), **known})
-    return rows
+    known = lambda x: _mm(x) if np.isfinite(x).all() else None
+    rows = zip(pose.points, *plotting.marker_places(pose), strict=True)
+    return [
+        {"name": escaped(point.name), "measured": known(a), "simulated": known(b)}
+        for point, a, b in rows
+    ]
 
 
 def _fibres(
@@ -197,57 +190,59 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
         `axes`), `obstacles` (`shape`, `name`, `at`, `axes`), and `gravity`: its
         direction or None. Without an equilibrium there is only gravity.
     """
-    data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
     empty = "cables wallNames arrows motors frames obstacles"
-    data |= {k: [] for k in empty.split()}
-    if result.converged and result.robot is not None:
-        picture = plotting.robot_picture(model, result.robot)
-        _add_actuators(data, picture)
-        data["frames"] += _bodies(model, picture)
-        for obstacle in plotting.obstacles_at(model, result.robot):
-            place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
-            about = {"shape": obstacle.number, "name": escaped(obstacle.name)}
-            data["obstacles"].append(about | place)
-    if result.converged:
-        for frame in plotting.sensor_frames(result):
-            kind = "measured" if frame.is_measured else "simulated"
-            place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
-            data["frames"].append({"kind": kind, "name": "", **place})
-    posed, mesh = result.posed, model.mesh
-    if result.converged and posed is not None:
-        data["arrows"] += _loads(posed, mesh, mesh.points + result.displacement)
-    gravity = np.zeros(3) if posed is None else np.asarray(posed.gravity, float)
+    data: dict[str, Any] = {key: [] for key in empty.split()}
+    data["walls"] = np.zeros((0, 3), int)
+    gravity = (0.0, 0.0, 0.0) if result.posed is None else result.posed.gravity
     size = np.linalg.norm(gravity)
-    data["gravity"] = (gravity / size).tolist() if size > 0.0 else None
+    data["gravity"] = (np.array(gravity) / size).tolist() if size > 0.0 else None
+    if not result.converged:
+        return data
+    picture = plotting.robot_picture(model, result)
+    _add_actuators(data, picture)
+    data["frames"] += _bodies(picture)
+    for frame in picture.sensors:
+        kind = "measured" if frame.is_measured else "simulated"
+        place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
+        data["frames"].append({"kind": kind, "name": "", **place})
+    for obstacle in picture.obstacles:
+        place = {"at": _mm(obstacle.origin), "axes": obstacle.axes.tolist()}
+        about = {"shape": obstacle.number, "name": escaped(obstacle.name)}
+        data["obstacles"].append(about | place)
+    for place, force in picture.loads:
+        size = float(np.linalg.norm(force))
+        if size > 0.0:
+            arrow = {"kind": "load", "name": readable_values([size], "N", digits=3)}
+            arrow |= {"tip": _mm(place), "towards": (force / size).tolist()}
+            data["arrows"].append(arrow)
     return data
 
 
 def _add_actuators(data: dict[str, Any], picture: plotting.RobotPicture) -> None:
-    for actuator, segments, faces, points, arrows in picture.parts():
-        name = escaped(plotting.actuator_words(actuator))
-        if len(segments):
-            slack = actuator.kind == "cable" and actuator.force == 0.0
-            ends = [[_mm(end) for end in segment] for segment in segments]
-            data["cables"].append({"name": name, "slack": slack, "segments": ends})
+    for actuator in picture.actuators:
+        name, faces = escaped(actuator.name), actuator.faces
+        if len(actuator.segments):
+            ends = [[_mm(end) for end in segment] for segment in actuator.segments]
+            cable = {"name": name, "slack": actuator.slack, "segments": ends}
+            data["cables"].append(cable)
         if len(faces):
             data["walls"] = np.concatenate([data["walls"], faces])
             middle = _mm(picture.x[faces].mean(axis=(0, 1)))
             data["wallNames"].append({"name": name, "at": middle})
-        for point, along in zip(points, arrows, strict=True):
+        for point, arrow in zip(actuator.points, actuator.arrows, strict=True):
+            place, along = _mm(point), arrow.tolist()
             if actuator.kind == "motor":
-                motor = {"name": name, "at": _mm(point), "axis": along.tolist()}
-                data["motors"].append(motor)
+                data["motors"].append({"name": name, "at": place, "axis": along})
             else:
-                towards = (plotting.pushes(actuator) * along).tolist()
-                arrow = {"kind": "force", "name": name}
-                data["arrows"].append({**arrow, "tip": _mm(point), "towards": towards})
+                force = {"kind": "force", "name": name, "tip": place, "towards": along}
+                data["arrows"].append(force)
 
 
-def _bodies(model: Model, picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
+def _bodies(picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
     """Yield the frames of rigid bodies, but of none that only stands beside."""
-    frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
-    axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
-    bodies = model.mechanism.bodies
+    bodies = picture.model.mechanism.bodies
+    frames = picture.x[picture.model.mesh.n_nodes :].reshape(-1, 4, 3)
+    axes = (frames[:, 1:] - frames[:, :1]) / bodies.length
     for k in np.flatnonzero(bodies.has_nodes):
         place = {"at": _mm(frames[k, 0]), "axes": axes[k].tolist()}
         yield {"kind": "frame", "name": escaped(bodies.names[k]), **place}
@@ -265,18 +260,6 @@ def _shape(surface: Any) -> dict[str, str]:
         "points": pack(points.astype("<f4")),
         "normals": pack(np.asarray(normals).astype("<f4")),
     }
-
-
-def _loads(
-    posed: Configuration, mesh: TetMesh, x: Float[HostArray, "n_nodes 3"]
-) -> Iterator[dict[str, Any]]:
-    """Yield the dead loads, each at the mean place where it acts."""
-    for load in posed.loads:
-        place, force = plotting.load_place(load, mesh, x)
-        size = float(np.linalg.norm(force))
-        if size > 0.0:
-            arrow = {"kind": "load", "name": readable_values([size], "N", digits=3)}
-            yield {**arrow, "tip": _mm(place), "towards": (force / size).tolist()}
 
 
 def _mm(x: Float[HostArray, "3"]) -> list[float]:

@@ -9,13 +9,13 @@ from obstacle_results import PRESSED, beside_obstacles, pressed
 from softcal_jax import contact
 from softcal_jax.plotting import (
     _configuration,
-    _plan,
+    _robot,
     choose_view,
     obstacle_surface,
-    obstacles_at,
     plot_plan,
     render_configuration,
     rendering_problem,
+    robot_picture,
 )
 from softcal_jax.plotting._scene import body_image
 
@@ -57,7 +57,7 @@ def test_what_is_drawn_is_the_surface(shape, tmp_path):
 
 
 def test_they_stand_where_their_frames_have_moved(model):
-    probe, table = obstacles_at(model, pressed(model).robot)
+    probe, table = robot_picture(model, pressed(model)).obstacles
     assert probe.name == "probe: 5 mN"
     assert table.name == "table"
     np.testing.assert_allclose(probe.origin, [0.091, 0.01, 0.038], atol=1e-12)
@@ -69,7 +69,7 @@ def test_they_stand_where_their_frames_have_moved(model):
 
 def test_the_plate_of_a_table_lies_below_the_body(model):
     """Although the origin of its frame is 2 m away."""
-    _, table = obstacles_at(model, pressed(model).robot)
+    _, table = robot_picture(model, pressed(model)).obstacles
     points = table.place(obstacle_surface(model, table.number).points)
     np.testing.assert_allclose(points[:, 2], -0.03, atol=1e-9)
     np.testing.assert_allclose(points.mean(axis=0)[:2], [0.05, 0.01], atol=1e-6)
@@ -77,14 +77,14 @@ def test_the_plate_of_a_table_lies_below_the_body(model):
 
 
 def test_what_is_absent_is_not_drawn(model):
-    (table,) = obstacles_at(model, pressed(model, present=("table",)).robot)
+    (table,) = robot_picture(model, pressed(model, present=("table",))).obstacles
     assert table.name == "table"
 
 
 def test_a_plan_shows_them_before_the_load(model, tmp_path, monkeypatch):
     seen = []
-    draw = lambda axes, view, model, obstacles: seen.append(obstacles)
-    monkeypatch.setattr(_plan, "draw_obstacles", draw)
+    draw = lambda axes, view, picture: seen.append(picture.obstacles)
+    monkeypatch.setattr(_robot, "draw_obstacles", draw)
     poses = [
         pressed(model, name=n, present=p).posed
         for n, p in (("a", ("probe",)), ("b", ()))
@@ -113,12 +113,12 @@ class TestPictures:
     def test_they_are_half_transparent(self, model):
         rest = np.zeros_like(model.mesh.points)
         view = choose_view(model.mesh.points, rest, np.zeros((0, 3)))
-        probe = obstacles_at(model, pressed(model).robot)[0]
+        probe = robot_picture(model, pressed(model)).obstacles[0]
 
         def middle(*obstacles):
             """The colour of the body's middle, where the probe is in the way."""
             shown = {"size": (300, 200), "scale": 2500.0, "largest": 1e-3}
-            surfaces = _plan.placed_surfaces(model, obstacles)
+            surfaces = _robot.placed_surfaces(model, obstacles)
             image = body_image(model, rest, view, **shown, obstacles=surfaces)
             return image[90:110, 140:160].mean(axis=(0, 1))
 
