@@ -349,7 +349,7 @@ def test_actuators_and_frames(robot):
         (motor,) = data["motors"]
         bodies = {b.name: 1e3 * b.position for b in pose.robot.bodies}
         np.testing.assert_allclose(motor["at"], bodies["arm"], atol=1e-3)
-        frames = [f for f in data["frames"] if f["kind"] == "frame"]
+        frames = [f for f in data["frames"] if f["kind"] == "frame of a rigid body"]
         assert {f["name"] for f in frames} == set(bodies)
         for frame in frames:
             np.testing.assert_allclose(frame["at"], bodies[frame["name"]], atol=1e-3)

@@ -170,23 +170,6 @@ FORCE, RIGID, OBSTACLE = "#1b7837", "#b4b4b4", "#9aa0a6"
 SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
 FIBRE = "#5e3c99"
 
-MARKS = {
-    "measured": MEASURED,
-    "simulated": SIMULATED,
-    "at rest": OUTLINE,
-    "cable": CABLE,
-    "wall": WALL,
-    "motor": MOTOR,
-    "force": FORCE,
-    "load": FORCE,
-    "gravity": GRAVITY,
-    "rigid": RIGID,
-    "obstacle": OBSTACLE,
-    "frame": GRAVITY,
-    "fibre": FIBRE,
-}
-"""Colours by what they mark, for a page that draws by itself."""
-
 _POINT = {"ls": "none", "ms": 13, "mew": 2.5}
 
 SYMBOLS: dict[str, dict[str, Any]] = {
@@ -209,6 +192,10 @@ SYMBOLS: dict[str, dict[str, Any]] = {
     "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
 }
 """Styles of lines and points by what they mark, in the order of the legend."""
+
+MARKS = {name: style.get("mec") or style["color"] for name, style in SYMBOLS.items()}
+MARKS["frame of a rigid body"] = GRAVITY  # which no picture draws
+"""Colours by what they mark, for a page that draws by itself."""
 
 
 def symbol(name: str, **changes: Any) -> dict[str, Any]:

@@ -50,22 +50,22 @@ _AXES = (
     'stroke-width="2" stroke-dasharray="3 2"/>'
 )
 
-# Words and symbol of each mark of the legend, to be coloured by `MARKS`, and the boxes
-# of `_SHOWN` of which one must be ticked: none for a mark that is always shown.
-_MARKS = {
-    "measured": ("measured", _CIRCLE, "markers frames"),
-    "simulated": ("simulated", _CROSS, "markers frames"),
-    "at rest": ("at rest", _LINE, "rest"),
-    "cable": ("cable", _LINE, "robot"),
-    "wall": ("wall under pressure", _PALE, "robot"),
-    "motor": ("motor", _DASHED, "robot"),
-    "force": ("force", _ARROW, "robot"),
-    "load": ("load", _ARROW, "loads"),
-    "gravity": ("gravity", _ARROW, "loads"),
-    "rigid": ("rigid body", _PATCH, ""),
-    "obstacle": ("obstacle", _PALE, "obstacles"),
-    "frame": ("frame of a rigid body", _AXES, "frames"),
-    "fibre": ("fibre", _HATCH, "fibres"),
+# The symbol of each mark of the legend, to be coloured by `MARKS`, and the boxes of
+# `_SHOWN` of which one must be ticked: none for a mark that is always shown.
+_SYMBOLS = {
+    "measured": (_CIRCLE, "markers frames"),
+    "simulated": (_CROSS, "markers frames"),
+    "at rest": (_LINE, "rest"),
+    "cable": (_LINE, "robot"),
+    "wall under pressure": (_PALE, "robot"),
+    "motor": (_DASHED, "robot"),
+    "force": (_ARROW, "robot"),
+    "load": (_ARROW, "loads"),
+    "gravity": (_ARROW, "loads"),
+    "rigid body": (_PATCH, ""),
+    "obstacle": (_PALE, "obstacles"),
+    "frame of a rigid body": (_AXES, "frames"),
+    "fibre": (_HATCH, "fibres"),
 }
 
 
@@ -101,7 +101,7 @@ class _Drawing(NamedTuple):
 def body_view(
     result: CalibrationResult | SimulationResult, errors: TetValues | None
 ) -> PageView:
-    """Make the view of all configurations of a result.
+    """Make the view of all configurations of a result, hidden until its script runs.
 
     What is too large for a page is drawn more coarsely or left out, and the view says
     so: first curved faces get fewer triangles, then the last configurations go.
@@ -114,13 +114,25 @@ def body_view(
         why += "configurations.pvd is for ParaView"
     if drawing is None:
         return PageView(node("p", f"No 3-D view: {why}."), "", frozenset())
-    converged = not isinstance(result, CalibrationResult) or result.converged
-    drawn = Html(drawing.text)
-    data = node("script", drawn, type="application/json", id="view-data")
-    content = joined([_figure(drawing, converged=converged), data])
-    script = resource("view.js")
+    trusted = not isinstance(result, CalibrationResult) or result.converged
+    marks, fields = _marks(drawing.data), drawing.data["fields"]
+    words = [
+        node("p", _words(pose), hidden="", class_="" if pose.converged else "stop")
+        for pose in drawing.shown
+    ]
+    figure = template(
+        "view.html",
+        warning=[] if trusted else [node("p", NOT_CONVERGED, class_="stop")],
+        choices=_choices(drawing, marks),
+        coloured=f"Colours of {fields[0]['label']}" if fields else "Colours",
+        legend=_legend(marks, {pose.role for pose in drawing.shown}),
+        words=words,
+        remarks=bullets(drawing.remarks),
+    )
+    text = Html(drawing.text)
+    data = node("script", text, type="application/json", id="view-data")
     names = frozenset(pose.name for pose in drawing.shown if pose.converged)
-    return PageView(content, script, names)
+    return PageView(joined([figure, data]), resource("view.js"), names)
 
 
 def _drawing(
@@ -131,55 +143,34 @@ def _drawing(
     Where not all configurations fit, those without an equilibrium go first.
     """
     states = [state_fields(model, pose) for pose in every]
-
-    def cut(parts: int, kept: Sequence[int]) -> _Drawing:
-        surface = surface_of(model, parts)
-        shown = [every[k] for k in kept]
+    parts, kept = PARTS if model.mesh.order == 2 else 1, list(range(len(every)))
+    while kept:
+        shown, surface = [every[k] for k in kept], surface_of(model, parts)
         fields = view_fields(model, shown, [states[k] for k in kept], surface, errors)
         data = view_data(model, shown, surface, fields) | {"colours": MARKS}
         # "<" must not end the element that the data are in.
         text = json.dumps(data, allow_nan=False, separators=(",", ":"))
         text = text.replace("<", "\\u003c")
-        remarks = []
-        if model.mesh.order == 2 and parts < PARTS:
-            remarks.append("Curved faces are drawn coarsely, to keep the page small.")
-        left_out = [pose.name for k, pose in enumerate(every) if k not in kept]
-        if left_out:
-            remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
-        return _Drawing(data, text, shown, remarks, calibrated_field(fields))
-
-    everything = range(len(every))
-    for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
-        drawing = cut(parts, everything)
-        if len(drawing.text) <= MOST_DATA:
-            return drawing
-    kept = [k for k in everything if every[k].converged]
-    while kept:
-        drawing = cut(1, kept)
-        size = len(drawing.text)
-        if size <= MOST_DATA:
-            return drawing
-        # The size is nearly proportional to the number of configurations.
-        kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // size + 1)]
+        if len(text) <= MOST_DATA:
+            remarks = []
+            if model.mesh.order == 2 and parts < PARTS:
+                remarks.append(
+                    "Curved faces are drawn coarsely, to keep the page small."
+                )
+            left_out = [pose.name for k, pose in enumerate(every) if k not in kept]
+            if left_out:
+                remarks.append(
+                    f"Left out to keep the page small: {', '.join(left_out)}."
+                )
+            return _Drawing(data, text, shown, remarks, calibrated_field(fields))
+        if parts > 1:
+            parts //= 2
+        elif not all(pose.converged for pose in shown):
+            kept = [k for k in kept if every[k].converged]
+        else:  # the size is nearly proportional to the number of configurations
+            most = len(kept) * MOST_DATA // len(text) + 1
+            kept = kept[: min(len(kept) - 1, most)]
     return None
-
-
-def _figure(drawing: _Drawing, *, converged: bool) -> Html:
-    """Write controls, drawing area and words, hidden until the script shows them."""
-    marks, fields = _marks(drawing.data), drawing.data["fields"]
-    words = [
-        node("p", _words(pose), hidden="", class_="" if pose.converged else "stop")
-        for pose in drawing.shown
-    ]
-    return template(
-        "view.html",
-        warning=[] if converged else [node("p", NOT_CONVERGED, class_="stop")],
-        choices=_choices(drawing, marks),
-        coloured=f"Colours of {fields[0]['label']}" if fields else "Colours",
-        legend=_legend(marks, {pose.role for pose in drawing.shown}),
-        words=words,
-        remarks=bullets(drawing.remarks),
-    )
 
 
 def _words(pose: ConfigurationResult) -> str:
@@ -205,8 +196,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     offered = {"mesh", "rest", "names"}
     offered |= {k for k in ("markers", "frames") if any(pose[k] for pose in poses)}
     for name in set(marks) - {"measured", "simulated"}:
-        *_, boxes = _MARKS[name]
-        offered.update(boxes.split())
+        offered.update(_SYMBOLS[name][1].split())
     ticks = []
     for name, (words, on) in _SHOWN.items():
         if name in offered:
@@ -234,15 +224,15 @@ def _select(key: str, label: str, texts: Iterable[str], chosen: int) -> Html:
 def _marks(data: Mapping[str, Any]) -> list[str]:
     """List the marks that occur in the data, in the order of the legend."""
     poses = data["configurations"]
-    keys = {"cable": "cables", "wall": "walls", "motor": "motors"}
+    keys = {"cable": "cables", "wall under pressure": "walls", "motor": "motors"}
     keys |= {"gravity": "gravity", "fibre": "fibres", "obstacle": "obstacles"}
     present = {mark for mark, key in keys.items() if any(pose[key] for pose in poses)}
     points = [point for pose in poses for point in pose["markers"]]
     present |= {k for k in ("measured", "simulated") if any(p[k] for p in points)}
     parts = [part for pose in poses for part in (*pose["frames"], *pose["arrows"])]
     present |= {part["kind"] for part in parts}
-    present |= {"at rest", *(["rigid"] if data["anyRigid"] else [])}
-    return [name for name in _MARKS if name in present]
+    present |= {"at rest", *(["rigid body"] if data["anyRigid"] else [])}
+    return [name for name in _SYMBOLS if name in present]
 
 
 def _legend(marks: Sequence[str], roles: Set[str]) -> Html:
@@ -251,9 +241,9 @@ def _legend(marks: Sequence[str], roles: Set[str]) -> Html:
     called = dict(zip(LABELS[""], labels, strict=True))
     entries = []
     for name in marks:
-        words, symbol, boxes = _MARKS[name]
+        symbol, boxes = _SYMBOLS[name]
         drawn = Html(symbol.format(MARKS[name]))
         of = {"data_of": boxes} if boxes else {}
         mark = node("svg", drawn, width="28", height="14", aria_hidden="true")
-        entries.append(node("li", mark, called.get(words, words), **of))
+        entries.append(node("li", mark, called.get(name, name), **of))
     return node("ul", *entries, class_="legend")

@@ -244,8 +244,8 @@ def _bodies(picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
     frames = picture.x[picture.model.mesh.n_nodes :].reshape(-1, 4, 3)
     axes = (frames[:, 1:] - frames[:, :1]) / bodies.length
     for k in np.flatnonzero(bodies.has_nodes):
-        place = {"at": _mm(frames[k, 0]), "axes": axes[k].tolist()}
-        yield {"kind": "frame", "name": escaped(bodies.names[k]), **place}
+        frame = {"kind": "frame of a rigid body", "name": escaped(bodies.names[k])}
+        yield frame | {"at": _mm(frames[k, 0]), "axes": axes[k].tolist()}
 
 
 def _shape(surface: Any) -> dict[str, str]:

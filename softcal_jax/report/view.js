@@ -309,7 +309,7 @@
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(body);
     const bare = field().place === "marker" || !pose().drawn;
-    gl.uniform3fv(at(body, "grey"), numbers(bare ? "#e4e4e4" : paint.rigid));
+    gl.uniform3fv(at(body, "grey"), numbers(bare ? "#e4e4e4" : paint["rigid body"]));
     gl.uniform1f(at(body, "cover"), 1);
     gl.bindVertexArray(solid);
     gl.enable(gl.POLYGON_OFFSET_FILL);
@@ -326,7 +326,7 @@
     if (on("obstacles")) drawObstacles(place);
     gl.disable(gl.DEPTH_TEST);
     if (pose().nWalls && on("robot")) {
-      flat(paint.wall, 0.25);
+      flat(paint["wall under pressure"], 0.25);
       gl.bindVertexArray(walls.array);
       gl.drawElements(gl.TRIANGLES, pose().nWalls, type, 0);
     }
@@ -446,7 +446,7 @@
     if (on("frames"))
       for (const f of shown.frames) {
         const colour = paint[f.kind];
-        const dash = f.kind === "frame" ? [4, 4] : [];
+        const dash = f.kind === "frame of a rigid body" ? [4, 4] : [];
         f.axes.forEach((axis) =>
           path([project(f.at), project(sum(f.at, axis, 26 / s))], colour, 2, dash));
         if (f.name) names.push([f.name, project(f.at)]);
