@@ -14,20 +14,8 @@ from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import is_number, readable_unit
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.configurations import Traces
-from softcal_jax.plotting._figure import (
-    BAD,
-    COLUMN,
-    FAINT,
-    INCH,
-    SCREEN,
-    SERIES,
-    TEXT,
-    Axes,
-    PictureStyle,
-    add_legend,
-    draw_grid,
-    printed,
-)
+from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting._figure import FAINT, SERIES, TEXT, Axes, PictureStyle
 
 LEAST_NAMED = 0.01  # share of a variance of which the cause is named [-]
 
@@ -58,11 +46,11 @@ def draw_errors(axes: Axes, fits: Sequence[ConfigurationResult]) -> Axes:
     axes.vlines(motion, rows - 0.3, rows + 0.3, color=TEXT, label="motion")
     axes.plot(before, rows, **_OPEN, clip_on=False, label="before the fit")
     axes.plot(after, rows, "o", color=SERIES[0], clip_on=False, label="after it")
-    names = [f"{f.name}{' (held out)' * (f.role == 'validation')}" for f in shown]
-    axes.set_yticks(rows, list(map(escaped, names)), parse_math=False)
-    axes.set(ylim=(len(shown) - 0.4, -0.6), xlabel=f"rms distance [{unit}]")
+    held = {"validation": " (held out)"}
+    _name_rows(axes, [f.name + held.get(f.role, "") for f in shown])
     axes.set_xlim(left=0.0)
-    return draw_grid(axes)
+    axes.set_xlabel(f"rms distance [{unit}]")
+    return figures.draw_grid(axes)
 
 
 def draw_workspace(axes: Axes, fits: Sequence[ConfigurationResult]) -> Axes:
@@ -84,7 +72,7 @@ def draw_workspace(axes: Axes, fits: Sequence[ConfigurationResult]) -> Axes:
     axes.margins(0.15)
     across, up = ("xyz"[k] for k in plane)
     axes.set(xlabel=f"{across} [{unit}]", ylabel=f"{up} [{unit}]")
-    return draw_grid(axes)
+    return figures.draw_grid(axes)
 
 
 def draw_budget(axes: Axes, result: CalibrationResult, *, most: int = 24) -> Axes:
@@ -103,11 +91,15 @@ def draw_budget(axes: Axes, result: CalibrationResult, *, most: int = 24) -> Axe
         look = {"color": _FILLS[k % len(_FILLS)], "ec": TEXT, "lw": 0.5}
         axes.barh(rows, share, 0.7, left=left, **look, label=label)
         left += share
-    names = [escaped(result.parameters[i].name) for i in known]
-    axes.set_yticks(rows, names, parse_math=False)
-    axes.set(xlim=(0.0, 100.0), ylim=(len(known) - 0.4, -0.6))
-    axes.set_xlabel("share of the variance [%]")
+    _name_rows(axes, [result.parameters[i].name for i in known])
+    axes.set(xlim=(0.0, 100.0), xlabel="share of the variance [%]")
     return axes
+
+
+def _name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Name rows from above, which stand at 0, 1, ..."""
+    axes.set_yticks(range(len(names)), list(map(escaped, names)), parse_math=False)
+    axes.set_ylim(len(names) - 0.4, -0.6)
 
 
 def draw_course(
@@ -161,19 +153,19 @@ def draw_course(
     axes.set_xlabel("step")
     axes.set_ylabel(f"{escaped(label)} [{shown or '-'}]", parse_math=False)
     axes.xaxis.get_major_locator().set_params(integer=True)  # pyright: ignore
-    return draw_grid(axes)
+    return figures.draw_grid(axes)
 
 
 def draw_on_bound(axes: Axes, x, y) -> None:
     """Mark values that stand on a bound, by open squares."""
-    squares = {"ls": "none", "marker": "s", "mfc": "white", "mec": BAD, "zorder": 3}
-    axes.plot(x, y, **squares, label="on a bound")
+    squares = {"ls": "none", "marker": "s", "mfc": "white", "mec": figures.BAD}
+    axes.plot(x, y, **squares, zorder=3, label="on a bound")
 
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")  # light enough for lines above them
 _MOST_NAMES = 14  # markers that get a legend: two for each colour
 _AROUND, _SHORTEST = 1.0, 3  # time beside a window: in its lengths, at least in frames
-_LINE = 1.4 * INCH / 72.0  # height of a line, over the size of its words [mm/pt]
+_LINE = 1.4 * figures.INCH / 72.0  # height of a line, over its words [mm/pt]
 _MOST_TICKS = 12  # values on an axis, each with its label
 
 
@@ -182,7 +174,7 @@ def plot_traces(
     path: str | Path,
     *,
     name: str = "recording",
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Plot the motion of the markers of a recording, and each window of it close up.
 
@@ -240,7 +232,7 @@ def draw_traces(
         place = {**where, "xytext": (3, -3), "annotation_clip": True}
         axes.annotate(event, (time, 1.0), **place, **look)
     axes.set(xlabel="time [s]", ylabel=f"distance from\n{what} [mm]")
-    return draw_grid(axes)
+    return figures.draw_grid(axes)
 
 
 def draw_trials(
@@ -279,7 +271,7 @@ def draw_trials(
     label = f"{escaped(name)} [{shown}]" if shown not in ("", "-") else escaped(name)
     axes.set_ylabel(label, parse_math=False)
     axes.set_xlabel(escaped(axis), parse_math=False)
-    draw_grid(axes)
+    figures.draw_grid(axes)
     spans = {}
     if all(map(is_number, where)):
         places = np.asarray(where, float)
@@ -326,7 +318,7 @@ def plot_panels(
     columns: int = 1,
     shared: bool = False,
     lines: float | None = None,
-    style: PictureStyle = COLUMN,
+    style: PictureStyle = figures.COLUMN,
     title: str = "",
 ) -> None:
     """Write charts as one picture, with one legend.
@@ -348,7 +340,7 @@ def plot_panels(
     tall = lines or np.clip(0.4 * style.width_mm / columns / line, 9.0, 16.0)
     height = (rows * tall + 3.5 + 2.0 * bool(title)) * line / style.width_mm
     share: dict[str, Any] = {"sharex": "col", "sharey": "row"} if shared else {}
-    with printed(path, style, height=height) as figure:
+    with figures.printed(path, style, height=height) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, **share)
         for axes, draw in zip(panels.flat, drawn, strict=True):
             draw(axes)
@@ -361,7 +353,7 @@ def plot_panels(
         entries = {word: h for pair in known for h, word in zip(*pair, strict=True)}
         if entries:
             handles = list(entries.values())
-            add_legend(figure, handles, figure.bbox.width, "outside lower left")
+            figures.add_legend(figure, handles, figure.bbox.width, "outside lower left")
         figure.align_ylabels()
         named = [
             a for a in panels.flat if isinstance(a.xaxis.get_major_locator(), Fixed)

@@ -17,18 +17,9 @@ from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
-from softcal_jax.plotting._figure import (
-    SCREEN,
-    SERIES,
-    Axes,
-    PictureStyle,
-    add_axes,
-    add_view,
-    in_points,
-    printed,
-)
+from softcal_jax.plotting._figure import Axes, PictureStyle, in_points
 from softcal_jax.plotting._scene import body_image
-from softcal_jax.plotting._view import View, VisibleFaces, choose_view, fit_body
+from softcal_jax.plotting._view import View, VisibleFaces
 
 Colour = tuple[float, float, float]
 
@@ -51,7 +42,7 @@ def plot_groups(
     path: str | Path,
     *,
     title: str = "",
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Draw a mesh [m] with every group named and coloured, as PNG, SVG or PDF.
 
@@ -76,12 +67,12 @@ def plot_groups(
     n = len(groups)
     seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
     total = len(panels) // _COLUMNS * (height + _HEADING)
-    with printed(path, style, height=total / style.pixels) as figure:
+    with figures.printed(path, style, height=total / style.pixels) as figure:
         for k, (heading, (view, drawn)) in enumerate(panels.items()):
             row, column = divmod(k, _COLUMNS)
             bottom = total - (row + 1) * (height + _HEADING)
             left = column * each + (each - width) // 2
-            axes = add_view(figure, left, bottom, width, height, scale=scale)
+            axes = figures.add_view(figure, left, bottom, width, height, scale=scale)
             axes.set_title(heading)
             faces, group = shown[k]
             # Darker where they are seen from the side.
@@ -111,8 +102,7 @@ def _panels(
     mesh: TetMesh, seen_from: Sequence[float] | None = None
 ) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]:
     """Choose the views, and the tets that each shows, by their headings."""
-    still, none = np.zeros_like(mesh.points), np.zeros((0, 3))
-    front = views.choose_view(mesh.points, still, none, seen_from=seen_from)
+    front = views.choose_view(mesh.points, seen_from=seen_from)
     behind = front._replace(right=-front.right, towards=-front.towards)
     middle = mesh.points.mean(axis=0)
     axes = np.linalg.svd(mesh.points - middle, full_matrices=False)[2]
@@ -150,7 +140,8 @@ def _colours(n: int) -> list[Colour]:
     from matplotlib.colors import to_rgb
 
     wheel = lambda k: colorsys.hsv_to_rgb(_GOLDEN * k % 1.0, 0.65, 0.9 - 0.2 * (k % 2))
-    full = [to_rgb(SERIES[k]) if k < len(SERIES) else wheel(k) for k in range(n)]
+    full = [to_rgb(c) for c in figures.SERIES[:n]]
+    full += [wheel(k) for k in range(len(full), n)]
     pale = lambda share: _PALE + (1.0 - _PALE) * share
     return [(pale(r), pale(g), pale(b)) for r, g, b in full]
 
@@ -191,14 +182,8 @@ def _draw_nodes(
         if name in faced or not nodes.size:
             continue
         places = view.project(mesh.points[nodes])
-        axes.plot(
-            *places.T,
-            "o",
-            ms=in_points(5.0),
-            color=colours[name],
-            mec="black",
-            mew=in_points(0.5),
-        )
+        rim = {"mec": "black", "mew": in_points(0.5)}
+        axes.plot(*places.T, "o", ms=in_points(5.0), color=colours[name], **rim)
         highest = places[np.argmax(places[:, 1])]
         figures.draw_name(axes, name, highest, (0, 14), ha="center")
 
@@ -216,7 +201,7 @@ def render_configuration(
     *,
     converged: bool = True,
     titled: bool = True,
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Draw a configuration with its simulated and measured markers.
 
@@ -318,7 +303,7 @@ def render_body(
     warning: str = "",
     picture: robots.RobotPicture | None = None,
     labels: tuple[str, str] = LABELS[""],
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
@@ -350,13 +335,13 @@ def render_body(
     if picture is not None:
         more.append(picture.points)
         gravity = () if picture.posed is None else picture.posed.gravity
-    view = choose_view(model.mesh.points, u, np.vstack(more), gravity, style.seen_from)
+    view = views.choose_view(model.mesh.points, u, more, gravity, style.seen_from)
     width = style.pixels - _SIDE
     lowest, highest = _LOWEST * style.pixels, max(_HIGHEST * style.pixels, _TALL)
-    scale, height = fit_body(view, width, _MARGIN, lowest, highest)
+    scale, height = views.fit_body(view, width, _MARGIN, lowest, highest)
     largest = float(np.linalg.norm(u, axis=1).max())
     around = () if picture is None else picture.obstacles
-    with printed(path, style, height=height / style.pixels) as figure:
+    with figures.printed(path, style, height=height / style.pixels) as figure:
         pixels = body_image(
             model,
             u,
@@ -367,7 +352,7 @@ def render_body(
             finer=style.dpi / figure.dpi,
             obstacles=robots.placed_surfaces(model, around),
         )
-        body = add_view(figure, 0, 0, width, height, scale=scale)
+        body = figures.add_view(figure, 0, 0, width, height, scale=scale)
         extent = (*body.get_xlim(), *body.get_ylim())
         body.imshow(pixels, extent=extent, interpolation="none")
         drawn = ["at rest"]
@@ -390,7 +375,7 @@ def render_body(
         figures.draw_markers(body, *flat, marker_names)
         figures.separate_names(body)
         bar = (width + 20, 0.06 * height, 28, 0.94 * height - 45)
-        figures.draw_colour_scale(add_axes(figure, *bar), largest)
+        figures.draw_colour_scale(figures.add_axes(figure, *bar), largest)
         handles = figures.legend_of(drawn, called)
         words = {"title": title, "subtitle": subtitle, "warning": warning}
         figures.draw_frame(figure, view, handles, scale=scale, **words)

@@ -10,26 +10,10 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
+from softcal_jax.plotting import _figure as figures, _view as views
 from softcal_jax.plotting._calibration import plot_panels
-from softcal_jax.plotting._figure import (
-    OUTLINE,
-    SCREEN,
-    SERIES,
-    Axes,
-    PictureStyle,
-    add_view,
-    draw_control_points,
-    draw_frame,
-    in_points,
-    printed,
-)
-from softcal_jax.plotting._view import (
-    View,
-    VisibleFaces,
-    choose_view,
-    fit_panel,
-    visible_faces,
-)
+from softcal_jax.plotting._figure import Axes, PictureStyle, in_points
+from softcal_jax.plotting._view import View, VisibleFaces
 
 _MARGIN = 1.08  # room for the body, over its own width and height
 _DARKEST, _LIGHTEST = 0.72, 0.97  # grey of a face seen from the side, from the front
@@ -45,7 +29,7 @@ def plot_directions(
     *,
     where: Bool[HostArray, " n_tets"] | None = None,
     title: str = "",
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Draw directions of fibres as short lines on the surface of the body at rest.
 
@@ -75,21 +59,20 @@ def plot_directions(
                 f"the family {name!r} needs one vector for each of the {mesh.n_tets} "
                 f"tets, got shape {vectors.shape}."
             )
-    still, none = np.zeros_like(mesh.points), np.zeros((0, 3))
-    view = choose_view(mesh.points, still, none, seen_from=style.seen_from)
+    view = views.choose_view(mesh.points, seen_from=style.seen_from)
     chosen = np.ones(mesh.n_tets, bool) if where is None else where
-    shapes, colours = _drawn(visible_faces(mesh, view), view, families, chosen)
-    width, height, scale = fit_panel(view, style.pixels, _MARGIN)
-    with printed(path, style, height=height / style.pixels) as figure:
+    shapes, colours = _drawn(views.visible_faces(mesh, view), view, families, chosen)
+    width, height, scale = views.fit_panel(view, style.pixels, _MARGIN)
+    with figures.printed(path, style, height=height / style.pixels) as figure:
         left = (style.pixels - width) // 2
-        body = add_view(figure, left, 0, width, height, scale=scale)
+        body = figures.add_view(figure, left, 0, width, height, scale=scale)
         faces = PolyCollection(shapes, facecolors=colours, edgecolors="face")
         body.add_collection(faces)
         lines = [
             Line2D([], [], color=colour, label=name, lw=in_points(4.0))
-            for colour, name in zip(cycle(SERIES), families)
+            for colour, name in zip(cycle(figures.SERIES), families)
         ]
-        draw_frame(figure, view, lines, scale=scale, title=title)
+        figures.draw_frame(figure, view, lines, scale=scale, title=title)
 
 
 def _drawn(
@@ -114,7 +97,7 @@ def _drawn(
             continue
         sides = corners[1:] - corners[0]
         size = np.sqrt(np.linalg.norm(np.cross(*sides)))
-        for vectors, colour in zip(families.values(), cycle(SERIES)):
+        for vectors, colour in zip(families.values(), cycle(figures.SERIES)):
             u = vectors[tet] @ np.stack([view.right, view.up], axis=1)
             along = 0.5 * _LENGTH * size * u
             length = np.linalg.norm(along)
@@ -134,7 +117,7 @@ def plot_fibres(
     plane: Literal["xy", "xz"],
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     title: str = "",
-    style: PictureStyle = SCREEN,
+    style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Plot angles of the fibre in its print plane, one panel per field.
 
@@ -238,12 +221,13 @@ def draw_fibres(
     axes.set_title(title, parse_math=False)
     low, high = 1e3 * corners.min(axis=(0, 1)), 1e3 * corners.max(axis=(0, 1))
     frame = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
-    axes.plot(*np.transpose([*frame, frame[0]]), color=OUTLINE, lw=in_points(1.2))
+    look = {"color": figures.OUTLINE, "lw": in_points(1.2)}
+    axes.plot(*np.transpose([*frame, frame[0]]), **look)
     margin = 0.04 * (high - low).min()
     axes.set(xlim=(low[0] - margin, high[0] + margin), xlabel="x [mm]")
     axes.set(ylim=(low[1] - margin, high[1] + margin), ylabel=f"{plane[1]} [mm]")
     axes.set_aspect("equal")
     axes.spines[:].set_visible(False)
     if control_points is not None:
-        draw_control_points(axes, 1e3 * control_points[:, columns])
+        figures.draw_control_points(axes, 1e3 * control_points[:, columns])
     return axes

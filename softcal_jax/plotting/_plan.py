@@ -69,10 +69,7 @@ def plot_plan(
         more += [p.at_rest for p in points]
         more += [place for place, _ in _measured(model, points)]
     gravity = shown[0].gravity if shown else ()
-    still = np.zeros_like(mesh.points)
-    view = views.choose_view(
-        mesh.points, still, np.vstack(more), gravity, style.seen_from
-    )
+    view = views.choose_view(mesh.points, None, more, gravity, style.seen_from)
     n = len(shown)
     fit = lambda columns: _fit(view, n, columns, style.pixels)
     columns = max(range(1, n + 1), key=lambda columns: fit(columns)[0])

@@ -1,6 +1,6 @@
 """The view of a body, chosen from its shape and its motion, and what is seen in it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +52,8 @@ def fit_panel(view: View, size: int, margin: float) -> tuple[int, int, float]:
 
 def choose_view(
     points: Float[HostArray, "n_nodes 3"],
-    displacement: Float[HostArray, "n_nodes 3"],
-    more: Float[HostArray, "n 3"],
+    displacement: Float[HostArray, "n_nodes 3"] | None = None,
+    more: Iterable[HostArray] = (),
     gravity: Sequence[float] | Float[HostArray, "3"] = (0.0, 0.0, -1.0),
     seen_from: Sequence[float] | None = None,
 ) -> View:
@@ -63,6 +63,7 @@ def choose_view(
     down. Points of `more`, like markers, are visible too. With `seen_from`, a direction
     towards the viewer, it is seen from there.
     """
+    displacement = np.zeros_like(points) if displacement is None else displacement
     above = _unit(-np.asarray(gravity, float)) if np.any(gravity) else np.eye(3)[2]
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
@@ -92,7 +93,7 @@ def choose_view(
         towards = _unit(way * normal + turn)
     right = _unit(np.cross(vertical, towards))
     up = np.cross(towards, right)
-    seen = np.concatenate([points, points + displacement, more])
+    seen = np.vstack([points, points + displacement, *more])
     frame = np.stack([right, up, towards], axis=1)
     flat = seen @ frame
     low, high = flat.min(axis=0), flat.max(axis=0)
