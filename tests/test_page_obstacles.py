@@ -12,8 +12,7 @@ from test_page_view import fields_of
 from benchmarks import _browser
 from softcal_jax.calibration import SimulationResult
 from softcal_jax.report import _write, write_results
-from softcal_jax.report._view_data import robot_data, view_data
-from softcal_jax.report._view_fields import surface_of
+from softcal_jax.report._view_data import robot_data, surface_of, view_data
 
 pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
 

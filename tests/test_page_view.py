@@ -22,12 +22,13 @@ from softcal_jax.mesh import tessellate
 from softcal_jax.project import load_project
 from softcal_jax.report import _view, _write, write_results
 from softcal_jax.report._view import body_view
-from softcal_jax.report._view_data import robot_data, view_data
-from softcal_jax.report._view_fields import (
+from softcal_jax.report._view_data import (
     Field,
     calibrated_field,
+    robot_data,
     state_fields,
     surface_of,
+    view_data,
     view_fields,
 )
 

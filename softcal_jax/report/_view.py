@@ -14,12 +14,12 @@ from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import LABELS, MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node, resource, template
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import (
+from softcal_jax.report._view_data import (
     TetValues,
     calibrated_field,
     state_fields,
     surface_of,
+    view_data,
     view_fields,
 )
 
