@@ -46,4 +46,4 @@ from softcal_jax.plotting._scene import (
     rendering_problem as rendering_problem,
     rigid_faces as rigid_faces,
 )
-from softcal_jax.plotting._view import View as View, choose_view as choose_view
+from softcal_jax.plotting._view import choose_view as choose_view

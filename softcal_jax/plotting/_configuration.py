@@ -55,17 +55,19 @@ def plot_groups(
 
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     # Groups that a user has named get the colours that are farthest apart.
-    every = faced | mesh.node_groups
-    groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
-    colours = _colours(len(groups))
+    is_unnamed = lambda name: CAD_FACE.fullmatch(name) is not None
+    groups = sorted(faced | mesh.node_groups, key=is_unnamed)
+    n = len(groups)
+    colours = dict(zip(groups, _colours(n), strict=True))
     panels = _panels(mesh, style.seen_from)
     front = panels["from the front"][0]
     each = style.pixels // _COLUMNS
     panel = width, height, scale = views.fit_panel(front, each, _ROOM)
-    shown = [_faces(mesh, groups, *what) for what in panels.values()]
-    every = zip(panels.values(), shown, strict=True)
-    images = [_image(view, *what, panel) for (view, _), what in every]
-    n = len(groups)
+    shown = [_faces(mesh, groups, view, drawn) for view, drawn in panels.values()]
+    images = [
+        _image(view, faces, group, panel)
+        for (view, _), (faces, group) in zip(panels.values(), shown, strict=True)
+    ]
     seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
     total = len(panels) // _COLUMNS * (height + _HEADING)
     with figures.printed(path, style, height=total / style.pixels) as figure:
@@ -78,10 +80,9 @@ def plot_groups(
             faces, group = shown[k]
             # Darker where they are seen from the side.
             light = _DARKEST + (1.0 - _DARKEST) * faces.light
-            shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
+            shades = np.array([*colours.values(), *_NO_GROUP])[group] * light[:, None]
             figures.draw_faces(axes, view, faces.corners, shades)
-            called = dict(zip(groups, colours, strict=True))
-            _draw_nodes(axes, view, mesh, drawn, called)
+            _draw_nodes(axes, view, mesh, drawn, colours)
             best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
             for index in np.flatnonzero(best):
                 # Amidst its pixels, and on one of them.
@@ -91,11 +92,10 @@ def plot_groups(
                 place = (nearest - 0.5 * np.array([width, height])) / scale
                 look = {"ha": "center", "va": "center"}
                 figures.draw_name(axes, groups[index], place, (0, 0), **look)
-        names = [
-            f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
-            for k, name in enumerate(groups)
-        ]
-        handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+        handles = []
+        for (name, colour), pixels in zip(colours.items(), seen.T, strict=True):
+            hidden = " (hidden)" if name in faced and not pixels.any() else ""
+            handles.append(Patch(color=colour, label=name + hidden))
         figures.draw_frame(figure, front, handles, scale=scale, title=title)
 
 

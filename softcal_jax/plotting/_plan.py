@@ -71,17 +71,20 @@ def plot_plan(
     gravity = shown[0].gravity if shown else ()
     view = views.choose_view(mesh.points, None, more, gravity, style.seen_from)
     n = len(shown)
-    fit = lambda columns: _fit(view, n, columns, style.pixels)
+
+    def fit(columns: int) -> tuple[float, int]:
+        """Fit the body into each panel, as large as the page allows."""
+        highest = max(_LOWEST, min(_HIGHEST, _PAGE // math.ceil(n / columns)))
+        width = style.pixels // columns
+        return views.fit_body(view, width, _MARGIN, _LOWEST, highest)
+
     columns = max(range(1, n + 1), key=lambda columns: fit(columns)[0])
-    width, rows = style.pixels // columns, math.ceil(n / columns)
-    scale, height = fit(columns)
-    total = rows * (height + _HEADING)
+    width, (scale, height) = style.pixels // columns, fit(columns)
+    total = math.ceil(n / columns) * (height + _HEADING)
     faces = views.visible_faces(mesh, view)
     light = _DARK + (_LIGHT - _DARK) * faces.light
     grey = np.repeat(light[:, None], 3, axis=1)
     drawn = {"control point"} if len(numbered) else set()
-    if fibres is not None:
-        drawn.add("fibre")
     ratio = total / style.pixels
     with figures.printed(path, style, height=ratio, software=software) as figure:
         for k, c in enumerate(shown):
@@ -92,19 +95,13 @@ def plot_plan(
             figures.draw_faces(axes, view, faces.corners, grey)
             if fibres is not None:
                 _draw_fibres(axes, view, faces, fibres)
+                drawn.add("fibre")
             drawn |= _draw_configuration(axes, view, c, pictures[k], markers[k])
             figures.draw_control_points(axes, view.project(numbered))
             look = {"color": figures.TEXT, "parse_math": False}
             figures.shrink(axes.set_title(headings[c.name], **look), width - 40)
         words = {"title": title, "subtitle": subtitle}
-        handles = figures.legend_of(drawn)
-        figures.draw_frame(figure, view, handles, scale=scale, **words)
-
-
-def _fit(view: View, n: int, columns: int, width: int) -> tuple[float, int]:
-    """Fit the body into each of n panels, as large as the page allows."""
-    highest = max(_LOWEST, min(_HIGHEST, _PAGE // math.ceil(n / columns)))
-    return views.fit_body(view, width // columns, _MARGIN, _LOWEST, highest)
+        figures.draw_frame(figure, view, figures.legend_of(drawn), scale=scale, **words)
 
 
 def _measured(

@@ -79,7 +79,7 @@ def test_layers_cover_white_and_each_other():
     """Each pixel is a mean of samples; where all are of the body at rest, its grey."""
     model = small_model()
     u = sag(model.mesh)
-    view = choose_view(model.mesh.points, u, np.zeros((0, 3)))
+    view = choose_view(model.mesh.points, u)
     look = {"size": (600, 400), "scale": 300.0 / view.width, "largest": 0.03}
     image = _scene.body_image(model, u, view, **look)
     assert image.min() >= 0
@@ -94,7 +94,7 @@ def test_body_and_markers_are_drawn_to_the_same_scale(tmp_path):
     """VTK draws the one, Matplotlib the other: the body must lie in the view."""
     model = small_model()
     u = sag(model.mesh)
-    view = choose_view(model.mesh.points, u, np.zeros((0, 3)))
+    view = choose_view(model.mesh.points, u)
     scale, height = fit_body(view, 1410, 60, 420, 900)
     render_body(model, u, tmp_path / "a.png", title="a")
     image = imread(tmp_path / "a.png")[130:-130, :1390, :3]

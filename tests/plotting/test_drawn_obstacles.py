@@ -112,7 +112,7 @@ def test_a_plan_with_bodies_that_have_no_nodes(model, tmp_path):
 class TestPictures:
     def test_they_are_half_transparent(self, model):
         rest = np.zeros_like(model.mesh.points)
-        view = choose_view(model.mesh.points, rest, np.zeros((0, 3)))
+        view = choose_view(model.mesh.points)
         probe = robot_picture(model, pressed(model)).obstacles[0]
 
         def middle(*obstacles):

@@ -11,14 +11,10 @@ from softcal_jax.plotting._configuration import _CUT, _colours, _faces, _image, 
 from softcal_jax.plotting._view import choose_view, fit_panel
 
 
-def view_of(mesh):
-    return choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
-
-
 def test_a_box_shows_three_sides_with_their_colours():
     """Pixels of each side: its area times the cosine of its angle."""
     mesh, size = beam(0.1, 0.04, 0.02, (5, 2, 1)), np.array([0.1, 0.04, 0.02])
-    view, names = view_of(mesh), list(mesh.surface_groups)
+    view, names = choose_view(mesh.points), list(mesh.surface_groups)
     faces, group = _faces(mesh, names, view, np.ones(mesh.n_tets, bool))
     assert np.all(group >= 0)
     panel = fit_panel(view, 800, 1.15)
@@ -47,7 +43,7 @@ def test_walls_of_a_cavity_are_hidden_until_it_is_cut():
 
 def test_a_cut_bares_the_wall_of_a_cavity():
     mesh = hollow_cube()
-    view, names = view_of(mesh), list(mesh.surface_groups)
+    view, names = choose_view(mesh.points), list(mesh.surface_groups)
     behind = (mesh.centroids @ view.towards) < 0.0
     faces, group = _faces(mesh, names, view, behind)
     assert np.any(group == _CUT)
@@ -61,10 +57,12 @@ def test_the_last_group_of_a_face_colours_it():
     mesh = beam(0.1, 0.04, 0.02, (5, 2, 1))
     mesh = mesh.with_tet_group("left", np.flatnonzero(mesh.centroids[:, 0] < 0.04))
     names = ["left", *mesh.surface_groups]
-    _, group = _faces(mesh, names, view_of(mesh), np.ones(mesh.n_tets, bool))
+    _, group = _faces(mesh, names, choose_view(mesh.points), np.ones(mesh.n_tets, bool))
     assert not np.any(group == 0)  # each face has a surface of its own
     bare = type(mesh)(mesh.points, mesh.tets, {}, {}, mesh.tet_groups)
-    faces, group = _faces(bare, ["left"], view_of(mesh), np.ones(mesh.n_tets, bool))
+    faces, group = _faces(
+        bare, ["left"], choose_view(mesh.points), np.ones(mesh.n_tets, bool)
+    )
     left = faces.corners.mean(axis=1)[:, 0] < 0.04
     np.testing.assert_array_equal(group, np.where(left, 0, -1))
 

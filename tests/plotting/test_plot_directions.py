@@ -31,8 +31,7 @@ def helices(mesh):
 
 @pytest.fixture(scope="module")
 def view(mesh):
-    nothing = np.zeros((0, 3))
-    return choose_view(mesh.points, np.zeros_like(mesh.points), nothing)
+    return choose_view(mesh.points)
 
 
 def test_boundary_tets_have_the_nodes_of_their_faces(mesh):

@@ -4,7 +4,6 @@ import pytest
 from softcal_jax.mesh import beam
 from softcal_jax.plotting._view import choose_view
 
-NONE = np.zeros((0, 3))
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -17,7 +16,7 @@ def bent(mesh, along, direction):
 def test_a_sagging_beam_is_seen_from_its_side():
     """Long axis and fall in the picture; x to the right, z up, a little of the end."""
     mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
-    view = choose_view(mesh.points, bent(mesh, 0, DOWN), NONE)
+    view = choose_view(mesh.points, bent(mesh, 0, DOWN))
     frame = np.stack([view.right, view.up, view.towards])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(frame), 1.0, rtol=1e-14)
@@ -34,7 +33,7 @@ def test_what_moves_is_on_the_right():
     mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
     mirrored = mesh.points * [-1.0, 1.0, 1.0]
     u = mesh.points[:, :1] ** 2 * DOWN
-    view = choose_view(mirrored, u, NONE)
+    view = choose_view(mirrored, u)
     assert view.right[0] < -0.9
     assert view.towards[1] > 0.85
 
@@ -42,7 +41,7 @@ def test_what_moves_is_on_the_right():
 def test_a_column_that_leans_stands_upright():
     mesh = beam(0.02, 0.02, 0.2, (1, 1, 5))
     lean = bent(mesh, 2, np.array([0.0, 1.0, 0.0]))
-    view = choose_view(mesh.points, lean, NONE)
+    view = choose_view(mesh.points, lean)
     assert view.up[2] > 0.9
     assert view.right[1] > 0.9
 
@@ -51,7 +50,7 @@ def test_a_column_that_leans_stands_upright():
 def test_without_a_motion_across_the_axis(motion):
     """At rest, or pulled along the axis: seen from the side all the same."""
     mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
-    view = choose_view(mesh.points, bent(mesh, 0, motion), NONE)
+    view = choose_view(mesh.points, bent(mesh, 0, motion))
     assert view.right[0] > 0.9
     assert view.up[2] > 0.9
 
@@ -75,8 +74,7 @@ def test_gravity_points_down():
     """Also where it is not along -z, and none is like -z."""
     mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
     sideways = bent(mesh, 0, np.array([0.0, -1.0, 0.0]))
-    view = choose_view(mesh.points, sideways, NONE, (0.0, -9.81, 0.0))
+    view = choose_view(mesh.points, sideways, gravity=(0.0, -9.81, 0.0))
     assert view.up[1] > 0.9
-    rest = np.zeros_like(mesh.points)
     for none in ((), np.zeros(3)):
-        assert choose_view(mesh.points, rest, NONE, none).up[2] > 0.9
+        assert choose_view(mesh.points, gravity=none).up[2] > 0.9
