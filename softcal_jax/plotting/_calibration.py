@@ -125,10 +125,8 @@ def draw_course(
         values = [getattr(entry, name) for entry in history]
         label, unit = ("rms residual", "m") if name == "rms" else (name, "-")
     factor, shown = readable_unit(values, unit)
-    steps, values = (
-        np.array([entry.step for entry in history]),
-        factor * np.array(values),
-    )
+    steps = np.array([entry.step for entry in history])
+    values = factor * np.array(values)
     taken = np.array([entry.accepted for entry in history])
     axes.plot(steps, values, color=SERIES[0])
     axes.plot(steps[taken], values[taken], "o", color=SERIES[0])
@@ -152,8 +150,8 @@ def draw_course(
 
 def draw_on_bound(axes: Axes, x, y) -> None:
     """Mark values that stand on a bound, by open squares."""
-    squares = {"ls": "none", "marker": "s", "mfc": "white", "mec": figures.BAD}
-    axes.plot(x, y, **squares, zorder=3, label="on a bound")
+    squares: dict[str, Any] = {"ls": "none", "marker": "s", "mfc": "white", "zorder": 3}
+    axes.plot(x, y, **squares, mec=figures.BAD, label="on a bound")
 
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")  # light enough for lines above them
@@ -266,11 +264,8 @@ def draw_trials(
         spans[places.min() - beside, places.max() + beside] = truth
     else:
         named = np.array([escaped(str(word)) for word in where])
-        groups, places, means = (
-            list(dict.fromkeys(named.tolist())),
-            np.zeros(len(named)),
-            [],
-        )
+        groups = list(dict.fromkeys(named.tolist()))
+        places, means = np.zeros(len(named)), []
         for i, group in enumerate(groups):
             members = named == group
             good = np.flatnonzero(members & np.isfinite(values))
