@@ -9,10 +9,11 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable_values
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.bodies import BodyStateArrays
 from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.configurations import AbstractLoad, Configuration, Support, standing
+from softcal_jax.configurations import AbstractLoad, Configuration, Support
 from softcal_jax.contact import HalfSpace
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.mesh import TetMesh, node_indices
@@ -208,7 +209,7 @@ def obstacles_at_start(model: Model, states: BodyStateArrays) -> list[PlacedObst
     """List the obstacles that are there before the load, in states of the bodies."""
     if model.mechanism.contacts.n_obstacles == 0:
         return []  # without compiling for it
-    present, frames = jax.device_get(standing(model.mechanism, states))
+    present, frames = jax.device_get(model.mechanism.standing(states))
     return _placed(model, present, frames, model.mechanism.contacts.names)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from softcal_jax import export, plotting
 from softcal_jax._text import escaped
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable_unit, readable_values
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
 from softcal_jax.mesh import (
@@ -186,7 +187,7 @@ def _of_faces(
     """Convert values of faces to a readable unit; rigid faces get no value."""
     present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
     finite = np.abs(present[np.isfinite(present)])
-    factor, shown = export.readable_unit([float(finite.max(initial=0.0))], unit)
+    factor, shown = readable_unit([float(finite.max(initial=0.0))], unit)
     converted = tuple(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values
@@ -396,7 +397,7 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     for place, force in picture.loads:
         size = float(np.linalg.norm(force))
         if size > 0.0:
-            name = export.readable_values([size], "N", digits=3)
+            name = readable_values([size], "N", digits=3)
             data["arrows"].append(_arrow("load", name, place, force / size))
     data["frames"] = [*_frames(picture)]
     data["obstacles"] = [
