@@ -107,9 +107,15 @@ def draw_course(
 ) -> Axes:
     """Draw what a calibration came to, step by step.
 
-    `name` is a parameter; or "rms", the residual of the markers, "cost", or "lambda_p",
-    the largest step, with the tolerance. A dashed line is the true value of a
-    parameter, in SI; a last value that stands on a bound is an open square.
+    Args:
+        axes: Where to draw.
+        result: The calibration.
+        name: A parameter; or "rms", the residual of the markers, "cost", or "lambda_p",
+            the largest step, with the tolerance.
+        truth: True value of the parameter, in SI, as a dashed line.
+
+    Returns:
+        The axes; a last value that stands on a bound is an open square.
     """
     q = next((q for q in result.parameters if q.name == name), None)
     history, label, unit = result.history, name, "-" if q is None else q.unit
@@ -240,10 +246,21 @@ def draw_trials(
 ) -> Axes:
     """Draw a figure of some trials over their values on an axis: one dot per trial.
 
-    Where numbers are, they make a scatter; words make groups, each with a bar at its
-    mean. Values and their truth are in an SI unit, and are drawn in the one that reads
-    best; nan is not drawn. A dashed line is the truth, and an open square in place of a
-    dot a value that stands on a bound. The axes get labels for a legend.
+    Numbers make a scatter; words make groups, each with a bar at its mean.
+
+    Args:
+        axes: Where to draw; the unit of its ticks is the one that reads best.
+        where: Value of each trial on the axis.
+        values: The figure, in SI; nan is not drawn.
+        axis: Name of the axis.
+        name: Name of the figure.
+        unit: SI unit of the figure.
+        truth: True value of each trial, in SI, as a dashed line; nan where there is
+            none.
+        on_bound: Whether the value stands on a bound: an open square instead of a dot.
+
+    Returns:
+        The axes, with labels for a legend.
     """
     truth = np.full(len(values), np.nan) if truth is None else truth
     on_bound = np.zeros(len(values), bool) if on_bound is None else on_bound
@@ -299,12 +316,17 @@ def plot_panels(
     style: PictureStyle = figures.COLUMN,
     title: str = "",
 ) -> None:
-    """Write charts as one picture, with one legend, as PNG, SVG or PDF.
+    """Write charts as one picture, with one legend.
 
-    Functions draw a chart each, row by row, with a number of `columns`. Where axes are
-    `shared`, the charts of a row have one vertical axis, and those of a column one
-    horizontal axis. A chart is as high as so many `lines` of its words; by default as
-    suits its width.
+    Args:
+        path: PNG, SVG or PDF file.
+        drawn: Functions that draw a chart each, row by row.
+        columns: Number of charts beside each other.
+        shared: Whether the charts of a row have one vertical axis, and those of a
+            column one horizontal axis.
+        lines: Height of a chart, in lines of its words; by default as suits its width.
+        style: Width, size of words, resolution.
+        title: Title of the picture.
     """
     from matplotlib.ticker import FixedLocator as Fixed
 

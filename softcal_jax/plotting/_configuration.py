@@ -18,7 +18,6 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import Axes, PictureStyle, in_points
-from softcal_jax.plotting._robot import RobotPicture, robot_picture
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import View, VisibleFaces
 
@@ -206,8 +205,13 @@ def render_configuration(
 ) -> None:
     """Draw a configuration with its simulated and measured markers.
 
-    The file is PNG, SVG or PDF. The picture of a calibration that has not `converged`
-    says so; its name and errors stand above a picture that is `titled`.
+    Args:
+        model: The model.
+        result: The configuration, calibrated or simulated.
+        path: PNG, SVG or PDF file.
+        converged: Whether the calibration converged; if not, the picture says so.
+        titled: Whether its name and errors stand above it.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -224,7 +228,7 @@ def render_configuration(
         marker_names=[p.name for p in result.points],
         labels=LABELS.get(result.role, LABELS[""]),
         warning="" if converged else NOT_CONVERGED,
-        picture=robot_picture(model, result),
+        picture=robots.robot_picture(model, result),
         style=style,
     )
 
@@ -297,16 +301,26 @@ def render_body(
     simulated: Float[HostArray, "n_markers 3"] | None = None,
     marker_names: Sequence[str] = (),
     warning: str = "",
-    picture: RobotPicture | None = None,
+    picture: robots.RobotPicture | None = None,
     labels: tuple[str, str] = LABELS[""],
     style: PictureStyle = figures.SCREEN,
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 
-    The file is PNG, SVG or PDF. Displacements of the nodes and places of markers are in
-    metres; rows with a NaN are left out. A `warning` is printed large and red above the
-    title. The `picture` is of what acts on the body and stands beside it, see
-    `robot_picture`, and `labels` are what the legend calls `measured` and `simulated`.
+    Args:
+        model: The model.
+        displacement: Nodal displacement [m].
+        path: PNG, SVG or PDF file.
+        title: First line.
+        subtitle: Second line.
+        measured: Measured marker positions; rows with a NaN are left out [m].
+        simulated: Simulated marker positions [m].
+        marker_names: Names beside the markers.
+        warning: Printed large and red above the title.
+        picture: What acts on the body and stands beside it, as `robot_picture` collects
+            it.
+        labels: What the legend calls `measured` and `simulated`.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
@@ -316,14 +330,17 @@ def render_body(
     measured = none if measured is None else measured
     simulated = none if simulated is None else simulated
     markers = np.concatenate([measured, simulated])
-    picture = picture or RobotPicture(model, model.mesh.points + u)
-    more = markers[np.isfinite(markers).all(axis=1)], picture.points
-    gravity = () if picture.posed is None else picture.posed.gravity
+    more = [markers[np.isfinite(markers).all(axis=1)]]
+    gravity = ()
+    if picture is not None:
+        more.append(picture.points)
+        gravity = () if picture.posed is None else picture.posed.gravity
     view = views.choose_view(model.mesh.points, u, more, gravity, style.seen_from)
     width = style.pixels - _SIDE
     lowest, highest = _LOWEST * style.pixels, max(_HIGHEST * style.pixels, _TALL)
     scale, height = views.fit_body(view, width, _MARGIN, lowest, highest)
     largest = float(np.linalg.norm(u, axis=1).max())
+    around = () if picture is None else picture.obstacles
     with figures.printed(path, style, height=height / style.pixels) as figure:
         pixels = body_image(
             model,
@@ -333,19 +350,32 @@ def render_body(
             scale=scale,
             largest=largest,
             finer=style.dpi / figure.dpi,
-            obstacles=robots.placed_surfaces(model, picture.obstacles),
+            obstacles=robots.placed_surfaces(model, around),
         )
         body = figures.add_view(figure, 0, 0, width, height, scale=scale)
         extent = (*body.get_xlim(), *body.get_ylim())
         body.imshow(pixels, extent=extent, interpolation="none")
-        robots.name_obstacles(body, view, picture)
-        drawn = {"at rest"} | robots.draw_robot(body, view, picture)
+        drawn = ["at rest"]
+        called: dict[str, str] = dict(
+            zip(("measured", "simulated"), labels, strict=True)
+        )
+        for name, points in zip(called, (measured, simulated), strict=True):
+            if np.isfinite(points).all(axis=1).any():
+                drawn.append(name)
+        if {"measured", "simulated"} <= {*drawn}:
+            drawn.append("distance")
+        if model.mechanism.bodies.has_nodes.any():
+            drawn.append("rigid body")
+        if around:
+            drawn.append("obstacle")
+        if picture is not None:
+            robots.name_obstacles(body, view, picture)
+            drawn += robots.draw_robot(body, view, picture)
         flat = view.project(measured), view.project(simulated)
-        drawn |= figures.draw_markers(body, *flat, marker_names)
+        figures.draw_markers(body, *flat, marker_names)
         figures.separate_names(body)
         bar = (width + 20, 0.06 * height, 28, 0.94 * height - 45)
         figures.draw_colour_scale(figures.add_axes(figure, *bar), largest)
-        called = dict(zip(LABELS[""], labels, strict=True))
         handles = figures.legend_of(drawn, called)
         words = {"title": title, "subtitle": subtitle, "warning": warning}
         figures.draw_frame(figure, view, handles, scale=scale, **words)

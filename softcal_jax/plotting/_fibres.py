@@ -35,9 +35,15 @@ def plot_directions(
 
     Each face that looks towards the viewer has a line along the direction in the tet
     behind it, in parallel projection: short where the fibre points out of the picture.
-    Of each family of fibres, by name, there is a unit vector in each tet [-], as
-    `np.transpose(fibre.direction())` gives it, and `where` are the tets that have
-    fibres. The file is PNG, SVG or PDF.
+
+    Args:
+        mesh: The mesh [m].
+        families: Name of each family of fibres, and its unit vector in each tet [-], as
+            `np.transpose(fibre.direction())` gives it.
+        path: PNG, SVG or PDF file.
+        where: Tets that have fibres; all by default.
+        title: Title of the picture.
+        style: Width, size of words, resolution, and where the body is seen from.
 
     Raises:
         ValueError: If there is no family, or one lacks a vector per tet.
@@ -117,9 +123,16 @@ def plot_fibres(
 
     Each tet of the middle layer of the mesh gets a line at its centroid along
     (cos theta, sin theta), over the outlines of these tets at rest. Panels of a long
-    mesh are stacked, others stand side by side. `panels` hold the title of each, and
-    the angle of each tet [rad]; control points are marked in all of them [m]. The file
-    is PNG, SVG or PDF.
+    mesh are stacked, others stand side by side.
+
+    Args:
+        mesh: The mesh [m].
+        panels: Title of each panel, and the angle of each tet [rad].
+        path: PNG, SVG or PDF file.
+        plane: Print plane, which is the plane of the picture.
+        control_points: Positions to mark in every panel [m].
+        title: Title of the figure.
+        style: Width, size of words, resolution.
 
     Raises:
         ValueError: If there is no panel, or a panel lacks one angle per tet.
@@ -166,8 +179,17 @@ def draw_fibres(
 ) -> Axes:
     """Draw angles of the fibre in the middle layer of a mesh, as `plot_fibres` does.
 
-    The colours end at the `largest` angle, by default of those of the tets [rad]. A
-    colour bar is added beside the axes, which are returned.
+    Args:
+        axes: Where to draw.
+        mesh: The mesh [m].
+        theta: Angle of each tet [rad].
+        plane: Print plane.
+        largest: Angle at which the colours end; by default the largest [rad].
+        control_points: Positions to mark [m].
+        title: Title of the axes.
+
+    Returns:
+        The axes, with a colour bar beside them.
     """
     from matplotlib.collections import LineCollection
 

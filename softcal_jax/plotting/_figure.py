@@ -252,25 +252,20 @@ def draw_markers(
     measured: Float[HostArray, "n_measured 2"],
     simulated: Float[HostArray, "n_simulated 2"],
     names: Sequence[str],
-) -> set[str]:
-    """Draw rings where markers were measured, crosses where they are simulated.
-
-    Returns what was drawn, for the legend.
-    """
+) -> None:
+    """Draw rings where markers were measured, crosses where they are simulated."""
     if len(measured) and len(simulated):
         for pair in zip(measured, simulated, strict=True):
             axes.plot(*np.transpose(pair), **symbol("distance"))
-    drawn = set()
     for name, marked in (("measured", measured), ("simulated", simulated)):
         if len(marked):
             axes.plot(*marked.T, path_effects=halo(5.0), **symbol(name))
-        if np.isfinite(marked).all(axis=1).any():
-            drawn.add(name)
+    if len(names) > _MOST_NAMES:
+        return
     places = measured if len(measured) else simulated
     for name, place in zip(names, places, strict=False):
-        if len(names) <= _MOST_NAMES and np.isfinite(place).all():
+        if np.isfinite(place).all():
             draw_name(axes, name, place, (13, 10))
-    return drawn | ({"distance"} if len(drawn) == 2 else set())
 
 
 def shrink(text: Text, room: float) -> None:

@@ -148,7 +148,9 @@ def _draw_configuration(
     model = picture.model
     robots.draw_obstacles(axes, view, picture)
     _draw_bodies(axes, view, model, c)
-    drawn = robots.draw_robot(axes, view, picture)
+    drawn = {"obstacle"} if picture.obstacles else set()
+    drawn |= {"rigid body"} if model.mechanism.bodies.has_nodes.any() else set()
+    drawn |= robots.draw_robot(axes, view, picture)
     for place, rest in _measured(model, points):
         ends = view.project(np.stack([rest, place]))
         axes.plot(*ends[1], path_effects=figures.halo(5.0), **symbol("measured"))

@@ -94,12 +94,12 @@ class RobotPicture(NamedTuple):
 
     model: Model
     x: Float[HostArray, "n_points 3"]
-    points: Float[HostArray, "n 3"] = np.zeros((0, 3))
-    actuators: Sequence[DrawnActuator] = ()
-    loads: Sequence[tuple[Float[HostArray, "3"], Float[HostArray, "3"]]] = ()
-    posed: Configuration | None = None
-    sensors: Sequence[SensorFrame] = ()
-    obstacles: Sequence[PlacedObstacle] = ()
+    points: Float[HostArray, "n 3"]
+    actuators: Sequence[DrawnActuator]
+    loads: Sequence[tuple[Float[HostArray, "3"], Float[HostArray, "3"]]]
+    posed: Configuration | None
+    sensors: Sequence[SensorFrame]
+    obstacles: Sequence[PlacedObstacle]
 
 
 def robot_picture(model: Model, result: ConfigurationResult) -> RobotPicture:
@@ -303,11 +303,9 @@ def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
     """Draw supports, loads, gravity, actuators and sensors; return what was drawn.
 
     Each has its name or its size. The axes are in metres, around the centre of the
-    view. Rigid bodies and obstacles are drawn already.
+    view.
     """
-    drawn = {"obstacle"} if picture.obstacles else set()
-    if picture.model.mechanism.bodies.has_nodes.any():
-        drawn.add("rigid body")
+    drawn = set()
     if picture.posed is not None:
         for support in picture.posed.supports:
             _draw_support(axes, view, support, picture.model.mesh, picture.x)
