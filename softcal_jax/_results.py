@@ -23,6 +23,11 @@ class RESULTS(eqx.Enumeration):
         "stable equilibrium was found from here at a higher one. Check modulus, wall "
         "and units, lower the pressure, or impose the volume in its place"
     )
+    slides = (
+        "the body slides: all of it that touches does, and no state was found in which "
+        "friction holds it at a higher load. Check the coefficient of friction, the "
+        "direction of gravity and supports, or reduce the load"
+    )
     law_unstable = (
         "the law loses its stability: along the motion by which the body gives way, it "
         "has less than a quarter of its stiffness at rest. Check its constants and the "

@@ -130,8 +130,8 @@ class RigidBody(Module):
         centre_of_mass: Position of that mass in the mesh at rest; the origin of the
             frame by default [m].
         shape: Its shape as an obstacle; none by default.
-        friction: Coefficient of friction up to which what touches the obstacle sticks
-            to it; 0 lets it slide freely [-].
+        friction: Coefficient of friction mu of the obstacle: what touches it sticks,
+            or slides against mu times the pressure; 0 lets it slide freely [-].
     """
 
     name: str

@@ -40,7 +40,7 @@ FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
 
 SLIDES = 0.05
-"""Share of the contact area that may slide, although it is held [-].
+"""Share of the contact area that may slide without a word [-].
 
 A rim of it always slides, since the pressure vanishes there: the outer 5 % of a Hertz
 contact bear 1 % of its force.
@@ -371,9 +371,9 @@ def warn_if_too_few_data(problem: Problem) -> None:
 def contact_doubts(
     contacts: Contacts, fits: Sequence[ConfigurationResult]
 ) -> Iterator[str]:
-    """Name the poses where much slides that is held, or the cushion gives way."""
+    """Name the poses where much slides on its way, or the cushion gives way."""
     scale, E = float(contacts.scale), readable(float(contacts.stiffness), "Pa")
-    for name, friction in zip(contacts.names, contacts.friction, strict=True):
+    for name in contacts.names:
         felt = [
             (contact, f'"{fit.name}"')
             for fit in fits
@@ -387,8 +387,8 @@ def contact_doubts(
         if slides:
             yield (
                 f"{_poses(slides)}{100.0 * slides[-1][0]:.0f} % of what touches "
-                f'"{name}" would slide at the coefficient of friction {friction:g}; it '
-                "is held as if it stuck."
+                f'"{name}" slides, as if it had moved straight there: what turned back '
+                "on its way is held by other forces."
             )
         if deep:
             yield (

@@ -49,6 +49,11 @@ class Mechanism(Module):
     def n_actuators(self) -> int:
         return len(self.actuators.names)
 
+    @property
+    def conservative(self) -> bool:
+        """Whether all its forces have a potential, as friction has none."""
+        return self.actuators.symmetric and not any(self.contacts.sticks)
+
     def following(self, mesh: TetMesh) -> "Mechanism":
         """Return the mechanism of a mesh with other points, see `with_points`."""
         n, points = mesh.n_nodes, jnp.asarray(mesh.points)

@@ -1,4 +1,4 @@
-"""Contact of the surface of the body with obstacles, which slides or sticks.
+"""Contact of the surface of the body with obstacles, with Coulomb friction.
 
 Each quadrature point of the faces of the body, with the area A at rest and the distance
 g from an obstacle, adds A E phi(d) to the potential energy, where d = s / 2 - g is how
@@ -11,9 +11,17 @@ and p = E phi'(d) is the pressure: E / 16 where surfaces coincide, 0.56 E at the
 s. It is a penalty that is linear in depth, with a smooth onset so that the tangent is
 continuous (compare Wriggers, Computational Contact Mechanics, 2006, ch. 6 and 10). The
 usual pressures of soft bodies are about that at g = 0, and the error is in proportion
-to s. Sticking friction holds points by springs along the surface that are as stiff,
-from where they came in touch. That place follows the state, so that there is an energy:
-the springs are softer the smaller the share of a point's way since it came in touch.
+to s. Friction adds a shear along the surface against the slip w, the way along it
+since the point came in touch:
+
+    tau = mu p h(x) w / |w|,  x = |w| / (c mu s),
+    h(x) = x - x^2 / 4 where x < 2, and 1 where x >= 2.
+
+So a point sticks, up to a slip of 2 c mu s with c = `STICK`, and slides where that does
+not hold it (the smooth step of Li and others, ACM Trans. Graph. 39, 2020, over the slip
+in place of its rate). Shear has no potential, so that a model with friction is not
+`conservative`. Slip is counted once for the whole load, along a straight way: what
+slides back and forth on the way there is not followed.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,11 +36,16 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.contact._shapes import AbstractShape
+from softcal_jax.elements import vector_length
 from softcal_jax.mesh import TetMesh, boundary_faces, face_areas
 
 BLOCK = 16  # faces whose tangents are computed together, where one of them is touched
 
 _SAMPLES = 8  # states on the way of a step at which points are looked for inside
+
+STICK = 1.0 / 3.0
+"""Slip at which friction would balance the pressure if it went on growing, over the
+scale of contact and the coefficient of friction [-]."""
 
 FINE = 0.005
 """Scale of contact, relative to the mean size of the faces of the body [-]."""
@@ -70,7 +83,7 @@ class ContactState(Module):
         moment: Its moment about the origin of the frame of the obstacle [N m].
         area: Area at rest of the surface that presses on it [m2].
         depth: How deep the surface lies in it at most [m].
-        sliding: Share of the area where friction could not hold what sticks [-].
+        sliding: Share of the area that slides against friction [-].
     """
 
     name: str = eqx.field(static=True)
@@ -95,37 +108,26 @@ def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."
     return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
 
 
-def _expanded(
+def _tamed(
     most: Float[Array, ""], d: Float[Array, "..."], s: Float[Array, ""]
 ) -> Float[Array, "..."]:
-    """Return an energy with the second derivatives of phi, for pressures up to `most`.
-
-    Beyond, the curvature of the obstacle counts as if p = E most.
-    """
+    """Return the pressure up to `most`, with the derivative of the whole [-]."""
     still = jax.lax.stop_gradient
-    slope = jnp.minimum(_pressure(d, s), most)
-    curvature = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
-    return still(slope) * d + 0.5 * still(curvature) * (d - still(d)) ** 2
+    slope = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
+    return still(jnp.minimum(_pressure(d, s), most)) + still(slope) * (d - still(d))
 
 
-def _grip(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Compute the share of a point that the obstacle has taken hold of [-]."""
-    q = jnp.clip(d / (2.0 * s), 0.0, 1.0)
-    return q**2 * (3.0 - 2.0 * q)
+class _Touch(NamedTuple):
+    """How points touch an obstacle, in its frame.
 
-
-def _cushion_and_slip(shape: AbstractShape, s, y, start) -> tuple[Array, Array]:
-    """Return how far a point has come into the cushion, and moved along it since [m].
-
-    Points are in the frame of the obstacle, and the way there is straight.
+    `depth` is how far they have come into the cushion [m], `slip` how far they slip,
+    where they slide from 2 on [-], and `traction` the gradient of the potential by
+    their place, over A E, with friction [-].
     """
-    gap, normal = jax.value_and_grad(shape.distance)(y)
-    cushion = 0.5 * s - gap
-    # How far it was outside of the cushion at the start, and how far it is inside.
-    outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
-    inside = jnp.maximum(cushion, 1e-9 * s)
-    way = inside / (outside + inside) * (y - start)
-    return cushion, way - normal * jnp.sum(normal * way)
+
+    depth: Float[Array, ""]
+    slip: Float[Array, ""]
+    traction: Float[Array, "3"]
 
 
 class Contacts(Module):
@@ -144,8 +146,8 @@ class Contacts(Module):
         stiffness: The modulus E of the pressure [Pa].
         scale: The length s; surfaces feel each other at half of it [m].
         body: Index of the rigid body of each of them.
-        friction: Coefficient of friction up to which points stick to each [-].
-        sticks: Whether it has friction; else points slide.
+        friction: Coefficient of friction of each [-].
+        sticks: Whether it has friction; else points slide freely.
     """
 
     faces: Int[HostArray, "n_faces n_fn"]
@@ -194,26 +196,44 @@ class Contacts(Module):
     def _gaps(self, k: int, z: Float[Array, "m 3"]) -> Float[Array, " n_qp"]:
         return jax.vmap(self.shapes[k].distance)(self._local(z))
 
-    def _face_energy(
+    def _touch(self, k: int, pressure, rough: bool, y, start) -> _Touch:
+        """Compute how a point at `y` touches the obstacle `k`; it came from `start`."""
+        s, shape = self.scale, self.shapes[k]
+        gap, normal = jax.value_and_grad(shape.distance)(y)
+        depth = 0.5 * s - gap
+        p = pressure(depth, s)
+        if not (self.sticks[k] and rough):
+            return _Touch(depth, jnp.zeros(()), -p * normal)
+        # How far it was outside of the cushion at the start, and how far it is inside.
+        outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
+        inside = jnp.maximum(depth, 1e-9 * s)
+        way = inside / (outside + inside) * (y - start)
+        way = way - normal * jnp.sum(normal * way)
+        stick = STICK * s
+        x = vector_length(way) / (stick * jnp.asarray(self.friction)[k])
+        share = jnp.where(x < 2.0, 1.0 - 0.25 * x, 1.0 / jnp.maximum(x, 1.0))  # h / x
+        return _Touch(depth, x, p * (share * way / stick - normal))
+
+    def _face(
         self,
         k: int,
         z: Float[Array, "m 3"],
         area: Float[Array, " n_qp"],
         start: Float[Array, "m 3"],
-        cushion: Callable[[Array, Array], Array] = _cushion,
-    ) -> Float[Array, ""]:
-        """Compute the energy between a face and the obstacle `k` [J].
+        pressure: Callable[[Array, Array], Array] = _pressure,
+        *,
+        rough: bool = True,
+    ) -> tuple[Float[Array, "m 3"], _Touch]:
+        """Compute the force of a face on the obstacle `k` at the nodes `z` [N].
 
-        `start` are the positions before the load.
+        `start` are their positions before the load; unless `rough`, without friction.
         """
-        s = self.scale
-        if not self.sticks[k]:
-            energy = cushion(0.5 * s - self._gaps(k, z), s)
-        else:
-            at = jax.vmap(partial(_cushion_and_slip, self.shapes[k], s))
-            d, slip = at(self._local(z), self._local(start))
-            energy = cushion(d, s) + 0.5 / s * _grip(d, s) * jnp.sum(slip**2, axis=1)
-        return self.stiffness * jnp.sum(area * energy)
+        y, on_nodes = jax.vjp(self._local, z)
+        touch = jax.vmap(partial(self._touch, k, pressure, rough))
+        touches = touch(y, self._local(start))
+        weight = self.stiffness * area[:, None]
+        (force,) = on_nodes(weight * touches.traction)
+        return force, touches
 
     def _positions(self, k: int, x, standing: Standing):
         """Return the positions, areas and starts of all faces with an obstacle [m]."""
@@ -228,16 +248,30 @@ class Contacts(Module):
 
     def energy_and_force(
         self, x: Float[Array, "n_points 3"], standing: Standing
-    ) -> tuple[Float[Array, ""], Float[Array, "n_points 3"]]:
-        """Compute the potential [J] and its gradient at positions of all nodes [N]."""
+    ) -> tuple[Array, Array, Array | None]:
+        """Compute potential [J], forces and friction on obstacles at positions x [m].
+
+        Forces are the gradient of the potential and friction, which has none [N];
+        without any, it is None.
+        """
         energy, force = jnp.zeros(()), jnp.zeros_like(x)
+        friction = jnp.zeros_like(x) if any(self.sticks) else None
         for k in range(self.n_obstacles):
-            of_face = jax.vmap(jax.value_and_grad(partial(self._face_energy, k)))
-            energies, parts = of_face(*self._positions(k, x, standing))
-            energy = energy + jnp.sum(energies)
-            force = force.at[self.faces].add(parts[:, :-4])
-            force = force.at[self.frames[k]].add(jnp.sum(parts[:, -4:], axis=0))
-        return energy, force
+            z, area, start = self._positions(k, x, standing)
+            parts, touches = jax.vmap(partial(self._face, k))(z, area, start)
+            stored = jnp.sum(area * _cushion(touches.depth, self.scale))
+            energy = energy + self.stiffness * stored
+            force = self._added(k, force, parts)
+            if friction is not None and self.sticks[k]:
+                normal = jax.vmap(partial(self._face, k, rough=False))
+                along = parts - normal(z, area, start)[0]
+                friction = self._added(k, friction, along)
+        return energy, force, friction
+
+    def _added(self, k: int, force, parts):
+        """Add the forces of all faces on an obstacle to those of nodes [N]."""
+        force = force.at[self.faces].add(parts[:, :-4])
+        return force.at[self.frames[k]].add(jnp.sum(parts[:, -4:], axis=0))
 
     def tangents(
         self,
@@ -253,20 +287,20 @@ class Contacts(Module):
         obstacle moves in, and with them the tangent would be far from positive
         definite.
         """
-        cushion = partial(_expanded, jnp.where(tamed, 1.0, jnp.inf))
+        pressure = partial(_tamed, jnp.where(tamed, 1.0, jnp.inf))
         return tuple(
-            self._stiffness_of(k, x, standing, cushion) for k in range(self.n_obstacles)
+            self._stiffness_of(k, x, standing, pressure)
+            for k in range(self.n_obstacles)
         )
 
-    def _stiffness_of(self, k: int, x, standing: Standing, cushion):
+    def _stiffness_of(self, k: int, x, standing: Standing, pressure):
         z, area, start = self._positions(k, x, standing)
         m, n_blocks = z.shape[1], len(z) // BLOCK
         gap = jax.vmap(lambda z: self._gaps(k, z))(z)
         near = jnp.any((gap < 0.5 * self.scale) & (area > 0.0), axis=1)
 
         def of_face(z, area, start):
-            energy = partial(self._face_energy, k)
-            force = lambda z: jax.grad(energy)(z, area, start, cushion)
+            force = lambda z: self._face(k, z, area, start, pressure)[0]
             return jax.jacfwd(force)(z).reshape(3 * m, 3 * m)
 
         def of_block(block):
@@ -313,16 +347,12 @@ class Contacts(Module):
         states = []
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
-            of_face = jax.vmap(jax.grad(partial(self._face_energy, k)))
-            on_frame = -jnp.sum(of_face(z, area, start)[:, -4:], axis=0)
+            forces, touches = jax.vmap(partial(self._face, k))(z, area, start)
+            on_frame = -jnp.sum(forces[:, -4:], axis=0)
             arms = x[self.frames[k]] - x[self.frames[k][0]][None]
-            s, local = self.scale, jax.vmap(self._local)
-            at = partial(_cushion_and_slip, self.shapes[k], s)
-            d, slip = jax.vmap(jax.vmap(at))(local(z), local(start))
+            s, d = self.scale, touches.depth
             pressed = jnp.where(d > 0.0, area, 0.0)
-            along = _grip(d, s) / s * jnp.linalg.norm(slip, axis=2)
-            most = jnp.asarray(self.friction)[k] * _pressure(d, s)
-            slides = (along > most) & self.sticks[k]
+            slides = touches.slip >= 2.0
             total = jnp.sum(pressed)
             states.append(
                 ContactState(

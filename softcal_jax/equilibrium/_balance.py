@@ -157,14 +157,16 @@ def zeros_of(function: Callable[..., T], *arguments: Any) -> T:
 class Point(NamedTuple):
     """A displacement u, with the internal force and the actuators' displacements at u.
 
-    `contact` are the forces of the nodes on obstacles, beside the internal ones. The
-    energy of both, the sum of its absolute parts (the scale of its rounding) and the
-    smallest det F are None where they are not needed.
+    `contact` are the forces of the nodes on obstacles, beside the internal ones, and
+    `friction` those of them that have no potential. The energy of the others, the sum
+    of its absolute parts (the scale of its rounding) and the smallest det F are None
+    where they are not needed.
     """
 
     u: Nodal
     force: Nodal
     contact: Nodal
+    friction: Nodal | None
     delta_a: Float[Array, " n_a"]
     energy: Any = None
     energy_scale: Any = None
@@ -182,15 +184,17 @@ class Point(NamedTuple):
 
 def deform(posed: Posed, u: Nodal) -> Point:
     """Compute forces and actuator displacements, without the energy."""
-    model, (_, contact) = posed.model, posed.contact(u)
-    return Point(u, internal_force(model, u), contact, model.displacements(u))
+    model, (_, contact, friction) = posed.model, posed.contact(u)
+    force, delta_a = internal_force(model, u), model.displacements(u)
+    return Point(u, force, contact, friction, delta_a)
 
 
 def evaluate(posed: Posed, u: Nodal) -> Point:
-    model, (stored, contact) = posed.model, posed.contact(u)
+    model, (stored, contact, friction) = posed.model, posed.contact(u)
     energy, scale, force, det = energy_and_force(model, u)
     delta_a, scale = model.displacements(u), scale + stored
-    return Point(u, force, contact, delta_a, energy + stored, scale, det)
+    energy = energy + stored
+    return Point(u, force, contact, friction, delta_a, energy, scale, det)
 
 
 def at_rest(posed: Posed) -> Point:
@@ -200,8 +204,8 @@ def at_rest(posed: Posed) -> Point:
     if posed.contacts.n_obstacles:
         frames, start = posed.contacts.frames, posed.standing.start
         u = none.at[frames].set(start - jnp.asarray(mechanism.points)[frames])
-    energy, contact = posed.contact(u)
-    return Point(u, none, contact, delta_a, energy, energy, jnp.ones(()))
+    energy, contact, friction = posed.contact(u)
+    return Point(u, none, contact, friction, delta_a, energy, energy, jnp.ones(()))
 
 
 def actuator_loads(

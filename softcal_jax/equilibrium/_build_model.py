@@ -214,7 +214,7 @@ def _prepared(
     n_tets = mesh.n_tets
     check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)
-    conservative = law.conservative and mechanism.actuators.symmetric
+    conservative = law.conservative and mechanism.conservative
     rigid = _within_one_body(mesh, mechanism)
     active = np.arange(n_blocks * BLOCK) < n_tets
     active[:n_tets] &= ~rigid

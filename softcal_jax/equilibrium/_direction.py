@@ -31,6 +31,10 @@ _LARGEST_TURN = 0.5
 """Rotation on a hinge beyond which a Newton step is meaningless [rad]."""
 
 
+_FAR = 1e3
+"""Displacement beyond which a body slides away, over the size of the robot [-]."""
+
+
 class Factor(NamedTuple):
     """A factorized tangent, the mean stiffness of an unknown, and the solver's report.
 
@@ -200,6 +204,9 @@ def line_search(
         free = ~strict & ~(point.touches | new.touches)
         good = (enough | moving | free) & new.finite & ~inside_out
         good = good & ~posed.passes_through(point.u, new.u)
+        if point.friction is not None:  # what slides away balances, by rounding
+            far = _FAR * posed.model.mechanism.bodies.length
+            good = good & (jnp.max(jnp.abs(new.u)) <= far)
         return LineSearchTrial(new, lambda_a, size, alpha, good)
 
     def keep_trying(carry):
@@ -230,9 +237,11 @@ def _lower(posed: Posed, point: Point, direction: NewtonDirection, reference):
 
     def test(alpha, new, lambda_a, merit):
         falls = reference is not None and merit <= (1.0 - 1e-4 * alpha) * reference
-        if not posed.model.conservative:
+        if not posed.model.has_energy:
             return falls
         potential, new_scale = _potential(posed, new)
+        if point.friction is not None:  # counts as a dead load
+            potential = potential + jnp.sum(point.friction * (new.u - point.u))
         armijo = potential <= before + 1e-4 * alpha * slope
         # Near the solution Pi changes by less than its rounding, so the slope
         # decides (approximate Wolfe condition of Hager and Zhang, SIAM J. Optim. 16,

@@ -129,6 +129,11 @@ class Model(Module):
         return float(np.sum(tets) + np.sum(np.asarray(self.mechanism.bodies.mass)))
 
     @property
+    def has_energy(self) -> bool:
+        """Whether all forces but friction on obstacles have a potential."""
+        return self.law.conservative and self.mechanism.actuators.symmetric
+
+    @property
     def conservative(self) -> bool:
         """Whether a potential exists, so that the tangent is symmetric.
 

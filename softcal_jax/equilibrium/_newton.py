@@ -215,7 +215,7 @@ def newton_iteration(
     )
     factor = direction.factor
     downhill = jnp.ones((), bool)
-    if model.conservative:  # otherwise it always descends the residual
+    if model.has_energy:  # otherwise it always descends the residual
         saddle = jnp.any(posed.by_multiplier)
         downhill = direction.moving | (direction.slope <= 0.0) | ~strict | saddle
     before = merit(posed, s.point, direction.step.lambda_a, factor.gap_stiffness)

@@ -203,10 +203,13 @@ class Posed(NamedTuple):
         assert self.states is not None
         return self.model.mechanism.standing(self.states)
 
-    def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal]:
-        """Compute energy and forces of the nodes on the cushion of obstacles [J, N]."""
+    def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal, Nodal | None]:
+        """Compute energy and forces of the nodes on obstacles, and friction [J, N].
+
+        Friction is among the forces; None without any.
+        """
         if self.contacts.n_obstacles == 0:
-            return jnp.zeros(()), jnp.zeros_like(u)
+            return jnp.zeros(()), jnp.zeros_like(u), None
         x = self.model.positions(u)
         return self.contacts.energy_and_force(x, self.standing)
 

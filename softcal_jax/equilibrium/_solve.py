@@ -205,6 +205,8 @@ def continue_newton(
     return state, as_solution(state, settings)
 
 
+_SLIDES = 0.9  # share of the touched area that slides where a body slides away
+
 _GIVES_WAY = 0.25
 """Share of its stiffness at rest under which a law gives way; structures keep more."""
 
@@ -215,13 +217,17 @@ def with_cause(
     state: LoadState,
     solution: EquilibriumSolution,
 ) -> EquilibriumSolution:
-    """Say of a solve that failed whether its law gave way, or a chamber.
+    """Say of a solve that failed if the body slides, or its law or a chamber gave way.
 
     A chamber has if its pressure does most of the work of the loads.
     """
     failed = solution.result
     if failed in (RESULTS.converged, RESULTS.inverted):
         return solution
+    touched = Posed.of(model, lane).contact_states(state.stray)
+    sliding = [float(c.sliding) for c in touched if c.area > 0.0]
+    if sliding and min(sliding) > _SLIDES:
+        return replace(solution, result=RESULTS.slides)
     u = state.iterate.point.u if failed == RESULTS.unstable else state.stray
     motion = u if failed == RESULTS.unstable else u - state.ok.u
     here, at_rest = stiffness_of_laws(model, u, motion)

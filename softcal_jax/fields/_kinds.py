@@ -175,8 +175,20 @@ def _actuators(model: Any, which: Iterable[bool]) -> list[str]:
 
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
     # One coefficient for all configurations: the old one is not needed.
-    actuators = model.mechanism.actuators.with_friction(*index, change(None))
-    return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
+    (k,), mu, mechanism = index, change(None), model.mechanism
+    if k < mechanism.n_actuators:
+        rough = mechanism.actuators.with_friction(k, mu)
+        return eqx.tree_at(lambda m: m.mechanism.actuators, model, rough)
+    of_obstacles = jnp.asarray(mechanism.contacts.friction)
+    rough = of_obstacles.at[k - mechanism.n_actuators].set(mu)
+    return eqx.tree_at(lambda m: m.mechanism.contacts.friction, model, rough)
+
+
+def _rough(model: Any) -> list[str]:
+    """Name actuators, then obstacles, but "" for those without friction."""
+    contacts, of = model.mechanism.contacts, model.mechanism.actuators.has_friction
+    both = zip(contacts.names, contacts.sticks, strict=True)
+    return [*_actuators(model, of), *(name if rough else "" for name, rough in both)]
 
 
 _bodies = attrgetter("mechanism.bodies.names")
@@ -281,16 +293,16 @@ _ROWS = (
         "friction",
         "friction of {of}",
         "model.mechanism.actuators",
-        noun="actuator with friction",
-        names=lambda m: _actuators(m, m.mechanism.actuators.has_friction),
+        noun="obstacle or actuator with friction",
+        names=_rough,
         put=_put_friction,
         least=0.0,
-        words="Make the coefficient of friction of a cable with friction a parameter.",
+        words="Make the coefficient of friction of a cable or obstacle a parameter.",
         nominal=True,
         subjects=lambda p: (
-            (k, a.friction)
-            for k, a in p.actuators.items()
-            if a.type == "cable" and a.friction
+            (k, rough.friction)
+            for k, rough in (*p.actuators.items(), *p.bodies.items())
+            if getattr(rough, "friction", None)
         ),
     ),
     Kind(

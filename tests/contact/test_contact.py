@@ -279,36 +279,6 @@ def test_what_sticks_moves_like_what_is_held():
     np.testing.assert_allclose(errors[0][[0, 2]] / errors[1][[0, 2]], 2.0, atol=0.4)
 
 
-@pytest.mark.parametrize("rise", [0.0, 1e-3])
-def test_springs_hold_what_sticks_from_where_it_came_in_touch(rise):
-    """Under a held face, E grip(s / 2) / s per area and slip; grip(s / 2) = 5 / 32.
-
-    Only a share of the way is slip, that behind where the face enters the cushion. The
-    energy of the springs is that of slip, so their force has the share once more.
-    """
-    rough = [replace(body, friction=2.0) for body in (FLOOR, PRESS)]
-    model, moved = block(*rough), 1e-5
-    below = Pose((0.0, 0.0, -rise))
-    floor = BodyState("held", Pose((moved, 0.0, 0.0)), below)
-    states = {"floor": floor, "press": "absent"}
-    pose = Configuration("p", ["z_min"], bodies=states, **WEIGHTLESS)
-    force = felt(model, pose, solved(model, pose))["floor"].force
-    stiffness = float(model.mechanism.contacts.stiffness)
-    share = 0.5 * SCALE / rise if rise else 1.0
-    along = -5.0 / 32.0 * share**2 * moved / SCALE
-    np.testing.assert_allclose(force[0], AREA * stiffness * along, rtol=1e-6)
-    # The springs grip better the deeper, which adds a little to the pressure.
-    normal = -1.0 / 16.0 - 9.0 / 32.0 * (share * moved / SCALE) ** 2
-    np.testing.assert_allclose(force[2], AREA * stiffness * normal, rtol=5e-4)
-
-
-def test_a_state_that_would_slide_is_called_so():
-    rough = [replace(body, friction=0.02) for body in (FLOOR, PRESS)]
-    model = block(*rough)
-    pose = Configuration("p", bodies={"press": Pose((1e-3, 0, -2e-3))}, **WEIGHTLESS)
-    assert felt(model, pose, solved(model, pose))["press"].sliding > 0.9
-
-
 def test_an_absent_obstacle_is_not_there():
     absent = dict.fromkeys(("floor", "press"), "absent")
     pose = Configuration("p", ["z_min"], bodies=absent, **WEIGHTLESS)

@@ -133,6 +133,7 @@ SPACE = ParameterSpace(
         load_factor("payload", **KNOWN),
         actuator_factor("c", **KNOWN),
         friction("c", 0.2, limit=0.15, **KNOWN),
+        friction("table", 0.5, limit=0.3, **KNOWN),
         *recording_offset(limit=5e-3, turn_limit=0.2, each=["tuesday"], **KNOWN),
         clamp_stiffness("x_max", 2e6, **KNOWN),
         *marker_offset("a", limit=5e-3, **KNOWN),

@@ -1,0 +1,207 @@
+"""Coulomb friction on obstacles against closed forms and differences."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax.bodies import BodyState, Pose, RigidBody
+from softcal_jax.calibration import calibrate
+from softcal_jax.configurations import (
+    Configuration,
+    ContactForce,
+    PointForce,
+    SurfaceForce,
+)
+from softcal_jax.contact import Ball, Capsule, HalfSpace
+from softcal_jax.equilibrium import (
+    RESULTS,
+    NewtonSettings,
+    build_model,
+    effector_values,
+    lanes,
+    robot_states,
+    solve_equilibrium,
+)
+from softcal_jax.fields import Parameter, ParameterSpace, exactly_known, friction
+from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import beam
+from softcal_jax.robots import synthetic_measurements
+
+MU, E, SIDE, SCALE = 0.5, 1e5, 0.02, 1e-4
+TABLE = RigidBody("table", shape=HalfSpace(), friction=MU)
+BLOCK = build_model(
+    beam(SIDE, SIDE, SIDE, (2, 2, 2), order=2),
+    NeoHookean(E, 0.45),
+    density=1000.0,
+    bodies=[TABLE],
+    contact_scale=SCALE,
+)
+WEIGHTLESS = {"gravity": (0.0, 0.0, 0.0)}
+STEEPEST = np.degrees(np.arctan(MU))
+
+
+def felt(model, pose, solution):
+    (state,) = robot_states(model, [pose], jax.tree.map(lambda a: a[None], solution))
+    return state.contacts[0]
+
+
+def on_slope(degrees, g=9.81):
+    angle = np.radians(degrees)
+    return Configuration("p", gravity=(g * np.sin(angle), 0.0, -g * np.cos(angle)))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 10.0, STEEPEST - 0.1])
+def test_a_block_on_a_slope_stays_up_to_the_angle_of_friction(degrees):
+    pose = on_slope(degrees)
+    solution = solve_equilibrium(BLOCK, pose)
+    assert bool(solution.converged), str(solution)
+    contact = felt(BLOCK, pose, solution)
+    weight = BLOCK.mass * np.asarray(pose.gravity)
+    np.testing.assert_allclose(contact.force, weight, atol=1e-7 * BLOCK.mass)
+    assert (contact.sliding > 0.9) == (degrees > 26.0)
+
+
+@pytest.mark.parametrize("degrees", [STEEPEST + 0.1, 60.0])
+def test_a_block_on_a_steeper_slope_slides(degrees):
+    solution = solve_equilibrium(BLOCK, on_slope(degrees))
+    assert RESULTS.slides == solution.result
+    assert float(solution.load_reached) == 0.0
+
+
+@pytest.mark.parametrize("load", [0.15, 5.0])
+def test_a_block_that_is_pressed_on_a_rough_table_is_stable(load):
+    """It spreads against friction; the table carries all."""
+    top = PointForce((0.5 * SIDE, 0.5 * SIDE, SIDE), (0.0, 0.0, -load))
+    pose = replace(on_slope(0.0), loads=[top])
+    solution = solve_equilibrium(BLOCK, pose)
+    assert bool(solution.converged), str(solution)
+    total = -load - 9.81 * BLOCK.mass
+    np.testing.assert_allclose(
+        felt(BLOCK, pose, solution).force, (0.0, 0.0, total), atol=1e-7 * load
+    )
+
+
+@pytest.mark.parametrize("rise", [0.0, 1e-3])
+@pytest.mark.parametrize("moved", [1e-6, 1e-5, 1e-3])
+def test_shear_grows_with_slip_up_to_mu_times_the_pressure(moved, rise):
+    """Under a held face that just touches, p = E / 16.
+
+    Only the share of the way behind where the face enters the cushion is slip.
+    """
+    below = BodyState("held", Pose((moved, 0.0, 0.0)), Pose((0.0, 0.0, -rise)))
+    pose = Configuration("p", ["z_min"], bodies={"table": below}, **WEIGHTLESS)
+    contact = felt(BLOCK, pose, solve_equilibrium(BLOCK, pose))
+    slip = moved * (0.5 * SCALE / rise if rise else 1.0)
+    x = 3.0 * slip / (MU * SCALE)
+    shear = MU * (x - 0.25 * x**2 if x < 2.0 else 1.0)
+    pressure = SIDE**2 * float(BLOCK.mechanism.contacts.stiffness) / 16.0
+    expected = -pressure * np.array([shear, 0.0, 1.0])
+    np.testing.assert_allclose(contact.force, expected, rtol=1e-6, atol=1e-9)
+    assert contact.sliding == (x >= 2.0)
+
+
+BALL = RigidBody("ball", shape=Ball(8e-3), origin=(0.01, 0.01, 0.0282), friction=0.3)
+PAD = build_model(
+    beam(SIDE, SIDE, SIDE, (3, 3, 2), order=2),
+    NeoHookean(E, 0.45),
+    density=0.0,
+    bodies=[BALL],
+    contact_scale=5e-4,
+)
+
+
+@pytest.mark.parametrize("aside", [2e-5, 2e-3], ids=["sticks", "slides"])
+def test_derivatives_of_what_sticks_and_slides(aside):
+    """By modulus and friction, forward against reverse, and against differences."""
+    pose = Configuration(
+        "p",
+        ["z_min"],
+        bodies={"ball": Pose((aside, 0.0, -2e-3))},
+        effectors=[ContactForce("force", "ball", measured=(0.0, 0.0, 0.0))],
+        **WEIGHTLESS,
+    )
+    lane, tight = lanes(PAD, pose)[0], NewtonSettings(rtol=1e-12)
+
+    @jax.jit
+    def force(p):
+        model = PAD.with_law(NeoHookean(E * p[0], 0.45))
+        where = lambda m: m.mechanism.contacts.friction
+        model = eqx.tree_at(where, model, p[1:])
+        u = solve_equilibrium(model, lane, settings=tight).displacement
+        return effector_values(model, lane, u).ravel()
+
+    p = jnp.array([1.0, 0.3])
+    forward, reverse = jax.jit(jax.jacfwd(force))(p), jax.jit(jax.jacrev(force))(p)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-9)
+    assert (abs(forward[0, 1]) > 0.1) == (aside > 1e-3)  # of what slides
+    errors = []
+    for h in (3e-4, 1e-4):
+        steps = [h * d for d in jnp.eye(2)]
+        slopes = [(force(p + d) - force(p - d)) / (2.0 * h) for d in steps]
+        errors.append(np.abs(np.stack(slopes, axis=1) - forward).max())
+    assert errors[1] < 1e-5 * np.abs(forward).max()
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_friction_is_calibrated_beside_the_modulus():
+    """From the forces of a probe that is pressed, and of one that is dragged on."""
+    poses = [
+        Configuration(
+            name,
+            ["z_min"],
+            bodies={"ball": Pose((aside, 0.0, -2e-3))},
+            effectors=[ContactForce("force", "ball", measured=(0.0, 0.0, 0.0))],
+            **WEIGHTLESS,
+        )
+        for name, aside in (("pressed", 0.0), ("dragged", 2e-3))
+    ]
+    space = ParameterSpace(
+        [
+            Parameter("E", "E", 0.8 * E, 0.2 * E, 5.0 * E),
+            friction("ball", 0.2, limit=0.19, prior_std=None),
+        ]
+    )
+    truth = {"E": E, "friction of ball": 0.3}
+    data = synthetic_measurements(PAD, space, poses, truth)
+    options = {"noise": "stated", "starts": 1, "intervals": None}
+    found = calibrate(PAD, space, data, uncertain=exactly_known(), **options)
+    assert found.converged
+    for name, value in truth.items():
+        assert found.value(name) == pytest.approx(value, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_belt_over_a_drum_holds_what_euler_and_eytelwein_say():
+    """T2 = T1 exp(mu theta), for a belt whose middle runs h / 2 beside the drum."""
+    R, thick, wide, mu, turn = 0.02, 5e-4, 5e-3, 0.3, 0.5 * np.pi
+    flat = beam(turn * R, wide, thick, (24, 1, 1), order=2)
+    x, y, z = np.asarray(flat.points).T
+    around = [(R + z) * np.sin(x / R), y, (R + z) * np.cos(x / R)]
+    drum = RigidBody(
+        "drum",
+        shape=Capsule(R, 0.05),
+        origin=(0.0, 0.5 * wide, 0.0),
+        axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        friction=mu,
+    )
+    model = build_model(
+        replace(flat, points=np.stack(around, axis=1)),
+        NeoHookean(1e6, 0.3),
+        density=0.0,
+        bodies=[drum],
+        contact_scale=2e-5,
+    )
+    pull, most = 0.1, np.exp(mu * turn * R / (R + 0.5 * thick))
+    holds = []
+    for share in (0.97, 1.02):
+        ends = (-pull, 0.0, 0.0), (0.0, 0.0, -share * most * pull)
+        loads = [
+            SurfaceForce(*end) for end in zip(("x_min", "x_max"), ends, strict=True)
+        ]
+        pose = Configuration("p", loads=loads, **WEIGHTLESS)
+        holds.append(bool(solve_equilibrium(model, pose).converged))
+    assert holds == [True, False]
