@@ -6,6 +6,9 @@
 - `press`: a finger of two halves of silicone, glued down along its length, is pressed
   by a probe with a force sensor at six places, with 1 % of noise, and both moduli are
   found from the forces alone.
+- `friction`: a block on a slope, which friction holds up to the angle atan mu;
+  and a belt over a quarter of a drum, pulled at both ends, which holds up to the ratio
+  exp(mu pi / 2) of Euler and Eytelwein, for a belt whose middle runs beside the drum.
 - `drops`: a ball moves onto a thin clamped plate from a random place above it, in a
   random direction, to up to 30 times the thickness of the plate below it.
 
@@ -19,12 +22,17 @@ Figures:
   `press_test_covered`, the share of 95 % intervals that hold the truth [%].
 - `newton_iterations_over_free`: of a press, over those of the same finger under the
   same force without contact; the median over the six.
+- `slope_off_degrees`, `belt_off_percent`: where it begins to slide, by bisection; and
+  `slope_force_error`: of shear and pressure on the block, just before, over its weight.
+- `iteration_over_smooth`: time of a Newton iteration of a press with friction, over one
+  without; the median over the six.
 - `passages`: drops whose equilibrium has the ball on the other side of the plate;
   `drops_solved` of them have an equilibrium.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +41,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from benchmarks._problem import Goal, Options, Outcome, Table
+from benchmarks._timing import interleave, median_ms
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.calibration import calibrate
@@ -41,9 +50,16 @@ from softcal_jax.configurations import (
     ContactForce,
     PointForce,
     Support,
+    SurfaceForce,
     configuration_arrays,
 )
-from softcal_jax.contact import Ball, ContactState, RoundedCylinder
+from softcal_jax.contact import (
+    Ball,
+    Capsule,
+    ContactState,
+    HalfSpace,
+    RoundedCylinder,
+)
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
@@ -55,7 +71,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import synthetic_measurements
 
@@ -65,10 +81,14 @@ GOALS = {
     "penetration_over_scale": Goal("at most", 1.0),
     "press_test_recovers_percent": Goal("at most", 5.0),
     "newton_iterations_over_free": Goal("at most", 2.5),
+    "slope_off_degrees": Goal("at most", 0.1),
+    "slope_force_error": Goal("at most", 1e-3),
+    "belt_off_percent": Goal("at most", 2.0),
+    "iteration_over_smooth": Goal("at most", 1.3),
     "passages": Goal("at most", 0),
 }
 
-COUNTS = {"hertz": 3, "punch": 1, "press": 5, "drops": 200}
+COUNTS = {"hertz": 3, "punch": 1, "press": 5, "friction": 7, "drops": 200}
 
 E, NU = 1e5, 0.3
 NO_WEIGHT = (0.0, 0.0, 0.0)
@@ -77,7 +97,8 @@ NO_WEIGHT = (0.0, 0.0, 0.0)
 def run(options: Options) -> Outcome:
     """Run the parts that are asked for.
 
-    `hertz=n` takes the first n meshes, `press=n` draws of noise, `drops=n` drops.
+    `hertz=n` takes the first n meshes, `press=n` draws of noise, `friction=n` halvings
+    of the bracket, `drops=n` drops.
     """
     counts = options.counts or COUNTS
     figures, samples, tables = {}, {}, []
@@ -101,6 +122,9 @@ def run(options: Options) -> Outcome:
     if n := counts.get("press"):
         options.say("press tests of a finger")
         figures |= _press_tests(n)
+    if n := counts.get("friction"):
+        options.say("a block on a slope, a belt over a drum, and what friction costs")
+        figures |= _slope(n) | _belt(n) | _cost()
     if n := counts.get("drops"):
         options.say("balls that drop onto a plate")
         figures |= _drops(n)
@@ -206,14 +230,14 @@ PLACES += [(0.038, -0.3e-3), (0.044, -0.45e-3), (0.05, -0.6e-3)]
 """Where the finger is pressed along its length, and how far [m]."""
 
 
-def _finger() -> Model:
+def _finger(friction: float = 0.0) -> Model:
     """A finger of two halves, and a probe above it."""
     mesh = beam(*FINGER, (10, 2, 2), order=2)
     middle = mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, 0]
     root = middle < 0.5 * FINGER[0]
     halves = {"root": np.flatnonzero(root), "tip": np.flatnonzero(~root)}
     moduli = np.where(root, TRUTH["E_root"], TRUTH["E_tip"])
-    probe = RigidBody("probe", shape=Ball(PROBE))
+    probe = RigidBody("probe", shape=Ball(PROBE), friction=friction)
     return build_model(
         replace(mesh, tet_groups=halves),
         Corotational(Isotropic(jnp.asarray(moduli), 0.45)),
@@ -333,6 +357,101 @@ def _free_steps(pose: Configuration, contact: ContactState) -> float:
     push = PointForce(place, tuple(-contact.force))
     free = replace(pose, loads=[push], bodies={"probe": "absent"}, effectors=())
     return float(solve_equilibrium(model, free, settings=PRECISE).steps)
+
+
+MU = 0.5
+
+
+def _slides_from(
+    low: float, high: float, n: int, solve: Callable[[float], EquilibriumSolution]
+) -> tuple[float, float]:
+    """Bracket where equilibria end, by n halvings; there must be one at `low`."""
+    for _ in range(n):
+        middle = 0.5 * (low + high)
+        if bool(solve(middle).converged):
+            low = middle
+        else:
+            high = middle
+    return low, high
+
+
+def _slope(n: int) -> dict[str, float]:
+    """Figures of a block on a slope."""
+    side = 0.02
+    model = build_model(
+        beam(side, side, side, (3, 3, 3), order=2),
+        NeoHookean(E, 0.45),
+        density=1000.0,
+        bodies=[RigidBody("table", shape=HalfSpace(), friction=MU)],
+    )
+
+    def pose(degrees: float) -> Configuration:
+        angle = np.radians(degrees)
+        g = (9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle))
+        return Configuration("slope", gravity=g)
+
+    steepest = float(np.degrees(np.arctan(MU)))
+    solve = lambda degrees: solve_equilibrium(model, pose(degrees))
+    low, high = _slides_from(steepest - 3.0, steepest + 3.0, n, solve)
+    (contact,) = _contacts(model, pose(low), solve(low))
+    weight = model.mass * np.asarray(pose(low).gravity)
+    return {
+        "slope_off_degrees": max(steepest - low, high - steepest),
+        "slope_force_error": float(
+            np.max(np.abs(contact.force - weight)) / np.linalg.norm(weight)
+        ),
+    }
+
+
+def _belt(n: int) -> dict[str, float]:
+    """Figure of a belt over a quarter of a drum."""
+    drum, thick, wide, pull = 0.02, 5e-4, 5e-3, 0.1
+    flat = beam(0.5 * np.pi * drum, wide, thick, (24, 1, 1), order=2)
+    x, y, z = np.asarray(flat.points).T
+    around = [(drum + z) * np.sin(x / drum), y, (drum + z) * np.cos(x / drum)]
+    body = RigidBody(
+        "drum",
+        shape=Capsule(drum, 0.05),
+        origin=(0.0, 0.5 * wide, 0.0),
+        axes=np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float),
+        friction=0.3,
+    )
+    model = build_model(
+        replace(flat, points=np.stack(around, axis=1)),
+        NeoHookean(1e6, NU),
+        density=0.0,
+        bodies=[body],
+        contact_scale=2e-5,
+    )
+
+    def solve(ratio: float) -> EquilibriumSolution:
+        loads = [
+            SurfaceForce("x_min", (-pull, 0.0, 0.0)),
+            SurfaceForce("x_max", (0.0, 0.0, -ratio * pull)),
+        ]
+        pose = Configuration("belt", loads=loads, gravity=NO_WEIGHT)
+        return solve_equilibrium(model, pose)
+
+    most = float(np.exp(0.3 * 0.5 * np.pi * drum / (drum + 0.5 * thick)))
+    low, high = _slides_from(0.9 * most, 1.1 * most, n, solve)
+    off = max(most - low, high - most) / most
+    return {"belt_off_percent": 100.0 * off}
+
+
+def _cost() -> dict[str, float]:
+    """Time of Newton's iterations with friction, over those without."""
+    ratios, models = [], {"rough": _finger(MU), "smooth": _finger()}
+    for pose in _presses():
+        solve = {
+            name: partial(solve_equilibrium, model, pose)
+            for name, model in models.items()
+        }
+        wait = lambda one: jax.block_until_ready(one())
+        calls = {name: partial(wait, one) for name, one in solve.items()}
+        times = interleave(calls, 5)
+        each = {k: median_ms(times[k]) / float(solve[k]().steps) for k in solve}
+        ratios.append(each["rough"] / each["smooth"])
+    return {"iteration_over_smooth": float(np.median(ratios))}
 
 
 PLATE, THICKNESS = (0.04, 0.04), 1e-3
