@@ -1,6 +1,7 @@
 """Propose configurations to be measured next, rank them, and find the fewest."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, product
 
@@ -205,8 +206,18 @@ def proposals(
     They change the first configuration in which something is measured: gravity along
     each axis; held by the other end; half of the body's weight at the marker that is
     farthest from what is held; half, and all, of the largest actuation of each
-    actuator; and the same again. What the configurations have already is left out.
+    actuator; and the same again. What the configurations have already is left out, and
+    what the model refuses: an end that is a rigid body cannot be held.
     """
+    for candidate in _proposed(model, configurations):
+        with suppress(ValueError):
+            configuration_arrays(model.mesh, [candidate], model.mechanism)
+            yield candidate
+
+
+def _proposed(
+    model: Model, configurations: Sequence[Configuration]
+) -> Iterator[Configuration]:
     base = next((c for c in configurations if c.markers or c.effectors), None)
     if base is None:
         return

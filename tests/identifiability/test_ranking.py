@@ -187,3 +187,4 @@ def test_proposals_of_a_robot_with_a_cable():
     proposed = {c.name: c for c in proposals(cable_project.cable_beam(), poses)}
     assert proposed["cable 750 mN"].actuation["cable"].value == 0.75
     assert "cable 1.5 N" not in proposed  # that is measured
+    assert "the other end held" not in proposed  # it is a rigid body
