@@ -107,16 +107,10 @@ def read_vtk(path: str, content: bytes) -> meshio.Mesh:
 
 def with_sets(mesh: meshio.Mesh) -> meshio.Mesh:
     """Turn Gmsh's physical groups and MED's families into sets, whatever the format."""
-    cells: dict[str, Any] = {
-        name: [np.unique([] if of is None else of).astype(int) for of in blocks]
-        for name, blocks in mesh.cell_sets.items()
-        if not name.startswith("gmsh:")
-    }
     nothing = [np.zeros(0, int)] * len(mesh.cells)
     for name, block, members in _tagged(mesh):
-        blocks = cells.setdefault(name, [*nothing])
+        blocks: Any = mesh.cell_sets.setdefault(name, [*nothing])
         blocks[block] = np.union1d(blocks[block], members)
-    mesh.cell_sets = cells
     for tag, names in getattr(mesh, "point_tags", {}).items():
         members = np.flatnonzero(mesh.point_data["point_tags"] == tag)
         for name in names:
