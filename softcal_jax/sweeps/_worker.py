@@ -5,6 +5,7 @@ import os
 import pickle
 import signal
 import threading
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -227,14 +228,16 @@ def dask_rows(
     that have not ended.
     """
     client = _connect(address)
-    from distributed import KilledWorker, as_completed
+    from distributed import as_completed
 
-    setup = _like_this_process()
+    setup, run = _like_this_process(), uuid.uuid4().hex[:8]
     with client:
         try:
-            # Not pure: a scheduler may still know the trials of a run that was killed.
+            # New keys, since a scheduler may still know those of a killed run.
             futures = {
-                client.submit(_run, function, trial, setup, pure=False): trial
+                client.submit(
+                    _run, function, trial, setup, key=f"trial-{trial.key}-{run}"
+                ): trial
                 for trial in trials
             }
         except TypeError as error:
@@ -242,21 +245,25 @@ def dask_rows(
                 f"the function of the sweep cannot be sent to a cluster: {error}."
             ) from error
         for future in as_completed(list(futures), loop=client.loop):
-            trial = futures.pop(future)
-            if future.status == "finished":
-                yield future.result()
-                continue
-            if future.status != "error":
-                raise OSError(
-                    f"the Dask scheduler at {address} was lost ({future.status}). Rows "
-                    "that were written are safe; the same sweep resumes from them."
-                )
-            error = future.exception()
-            # Errors of the function make a row, so here it could not even be called.
-            how = f"could not run it: {error!r}"
-            if isinstance(error, KilledWorker):
-                how = f"died {error.allowed_failures + 1} times"
-            yield failed_row(trial, f"its worker {how}")
+            yield _row(future, futures.pop(future), address)
+
+
+def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
+    if future.status == "finished":
+        return future.result()
+    if future.status != "error":
+        raise OSError(
+            f"the Dask scheduler at {address} was lost ({future.status}). Rows that "
+            "were written are safe; the same sweep resumes from them."
+        )
+    from distributed import KilledWorker
+
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        deaths = error.allowed_failures + 1
+        return failed_row(trial, f"its worker died {deaths} times")
+    # Errors of the function make a row, so here the worker could not even call it.
+    return failed_row(trial, f"its worker could not run it: {error!r}")
 
 
 def _connect(address: str) -> "distributed.Client":
