@@ -23,7 +23,7 @@ Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
 MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
 
 
-class Cell(NamedTuple):
+class Value(NamedTuple):
     """A value of a table of which more is to be said than by its column.
 
     Attributes:
@@ -48,7 +48,7 @@ class Column(NamedTuple):
 
     Attributes:
         title: Its head.
-        content: A `Cell` for each row, or its value alone.
+        content: A `Value` for each row, or what it would hold alone.
         quantity: What the values are: a name in `QUANTITIES`, or an SI unit.
         digits: Significant digits of values in an SI unit.
     """
@@ -59,9 +59,9 @@ class Column(NamedTuple):
     digits: int = 4
 
     @property
-    def cells(self) -> list[Cell]:
+    def cells(self) -> list[Value]:
         """Its cells."""
-        return [c if isinstance(c, Cell) else Cell(c) for c in self.content]
+        return [c if isinstance(c, Value) else Value(c) for c in self.content]
 
     @property
     def values(self) -> list[Any]:
@@ -130,7 +130,7 @@ class Table(NamedTuple):
         Args:
             title: Its title.
             heads: Those of its columns, like "pose | area [m2]", with quantities.
-            rows: A value or `Cell` for each column.
+            rows: What stands in each column: a `Value`, or what it would hold alone.
             note: What stands below.
             digits: Significant digits of values in an SI unit.
         """

@@ -18,7 +18,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import pytest
 from small_project import write_small_project
 
 from softcal_jax.cli import main
@@ -155,7 +154,6 @@ def golden(folder: Path) -> dict[str, dict[str, list[float]]]:
     return found
 
 
-@pytest.mark.slow
 def test_no_number_has_changed(tmp_path):
     """To seven digits: another processor may round the rest in another way."""
     recorded, found = json.loads(RECORD.read_text()), golden(tmp_path)

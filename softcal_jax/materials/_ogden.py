@@ -17,7 +17,12 @@ from softcal_jax._module import if_any
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
 from softcal_jax.materials._constants import Constant, as_field, constant
-from softcal_jax.materials._rubber import AbstractRubber, rubber_ratio, signed
+from softcal_jax.materials._rubber import (
+    INCOMPRESSIBLE,
+    RUBBER_RATIO,
+    AbstractRubber,
+    signed,
+)
 
 _SWEEPS = 5
 """Sweeps of Jacobi rotations; the error is squared with each, from the third on."""
@@ -71,7 +76,9 @@ class Ogden(AbstractRubber):
     alpha_3: Constant | None = eqx.field(
         converter=if_any(as_field), default=None, metadata=_exponent("third")
     )
-    nu: Constant = rubber_ratio()
+    nu: Constant = eqx.field(
+        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
+    )
 
     def __check_init__(self):
         for p in (2, 3):

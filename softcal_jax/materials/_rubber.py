@@ -1,7 +1,7 @@
 """Rubbers: neo-Hookean, and the nearly incompressible ones of two invariants."""
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,11 +57,11 @@ class NeoHookean(AbstractLaw):
         return mu * paired(jnp.eye(3), jnp.eye(3)) + lam * outer(G, G) + across
 
 
-def rubber_ratio() -> Any:
-    """Declare Poisson's ratio, by default 500 times as stiff in volume as in shear."""
-    words = "Poisson's ratio at small strain: 0.499"
-    metadata = constant("", words, within=(0.0, 0.5), kind=POISSON)
-    return eqx.field(converter=as_field, default=0.499, metadata=metadata)
+RUBBER_RATIO = constant(
+    "", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5), kind=POISSON
+)
+# Poisson's ratio of a rubber that nobody measured: 500 times as stiff in volume.
+INCOMPRESSIBLE = 0.499
 
 
 def signed(words: str):
@@ -222,7 +222,9 @@ class MooneyRivlin(AbstractInvariantRubber):
 
     c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
     c01: Constant = eqx.field(converter=as_field, metadata=_SECOND)
-    nu: Constant = rubber_ratio()
+    nu: Constant = eqx.field(
+        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
+    )
 
     def shear_modulus(self) -> Constant:
         return 2.0 * (self.c10 + self.c01)
@@ -251,7 +253,9 @@ class Yeoh(AbstractInvariantRubber):
     c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
     c20: Constant = eqx.field(converter=as_field, metadata=_SOFTENING)
     c30: Constant = eqx.field(converter=as_field, metadata=_STIFFENING)
-    nu: Constant = rubber_ratio()
+    nu: Constant = eqx.field(
+        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
+    )
 
     def shear_modulus(self) -> Constant:
         return 2.0 * self.c10
@@ -291,7 +295,9 @@ class Gent(AbstractInvariantRubber):
         converter=as_field,
         metadata=constant("", "limit of i1 - 3: 80", within=(0.0, jnp.inf)),
     )
-    nu: Constant = rubber_ratio()
+    nu: Constant = eqx.field(
+        converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
+    )
 
     def shear_modulus(self) -> Constant:
         return self.mu

@@ -1,11 +1,11 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
 from softcal_jax._tree import (
-    Cell as Cell,
     Chart as Chart,
     Column as Column,
     Section as Section,
     Table as Table,
+    Value as Value,
 )
 from softcal_jax.report._console import console as console, text as text
 from softcal_jax.report._load import (

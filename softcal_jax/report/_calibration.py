@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from softcal_jax import plotting
-from softcal_jax._tree import Cell, Chart, Column, Section, Table, Tone, verdict
+from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import number, readable
 from softcal_jax.calibration import (
     FLAT,
@@ -135,13 +135,13 @@ def _subject(result: CalibrationResult, outlook: Identifiability) -> Table:
     return Table.of("Calibration", " | ", rows.items())
 
 
-def value_cell(parameter: ParameterEstimate, tone: Tone = "plain") -> Cell:
+def value_cell(parameter: ParameterEstimate, tone: Tone = "plain") -> Value:
     """Show a value, its error where it may be shown, and what is on a bound."""
     p = parameter
     note = f"(with {', '.join(p.given)} on a bound)" if p.given else ""
     note = "(on a bound)" if p.at_bound else note
     error = p.standard_error if p.is_symmetric else math.nan
-    return Cell(p.value, p.unit, error, note, tone)
+    return Value(p.value, p.unit, error, note, tone)
 
 
 def verdict_of(assessment: Assessment) -> Section:
@@ -200,7 +200,7 @@ def parameter_table(result: CalibrationResult, outlook: Identifiability) -> Tabl
         sound = result.converged and not (q.at_bound or q.name in blind)
         ends = (readable(end, q.unit) for end in (q.lower, q.upper))
         value = value_cell(q, "strong" if sound else "bad")
-        rows.append((q.name, value, Cell(q.start, q.unit), " to ".join(ends)))
+        rows.append((q.name, value, Value(q.start, q.unit), " to ".join(ends)))
     title = "Parameters" + ", ± not checked" * (not result.intervals)
     heads = "parameter | value ± standard error | start | bounds"
     return Table.of(title, heads, rows)
@@ -218,7 +218,7 @@ def interval_table(result: CalibrationResult) -> Table:
     every = result.intervals
     level = f"{100.0 * every[0].level:g} % interval" if every else "interval"
     rows = [
-        (i.name, Cell(str(i), tone="bad" if i.kind == "none" else "plain"), i.kind)
+        (i.name, Value(str(i), tone="bad" if i.kind == "none" else "plain"), i.kind)
         for i in every
     ]
     return Table.of("Intervals", f"parameter | {level} | kind", rows)
@@ -242,7 +242,7 @@ def optima_table(starts: MultiStartResult | None) -> Table:
 
 def history_table(result: CalibrationResult) -> Table:
     """Tabulate the steps of the fit."""
-    taken, refused = Cell("taken"), Cell("refused", tone="doubtful")
+    taken, refused = Value("taken"), Value("refused", tone="doubtful")
     rows = []
     for s in result.history:
         size = max(map(abs, s.lambda_p)) if s.step else None
@@ -328,12 +328,12 @@ def _outlook_table(outlook: Identifiability) -> Table:
         far = p.relative is not None and p.relative > BLIND_FROM
         sizes = [p.data_only] if outlook.has_prior else []
         error, *sizes = (
-            Cell("blind" if np.isinf(size) else size, p.unit)
+            Value("blind" if np.isinf(size) else size, p.unit)
             for size in (np.inf if far else p.standard_error, *sizes, p.asked)
         )
         if p.relative is not None and not far:
             error = error._replace(note=f"({number(100.0 * p.relative, 2)} %)")
-        value = Cell(p.value, p.unit, digits=4)
+        value = Value(p.value, p.unit, digits=4)
         rows.append((p.name, value, error, *sizes, p.verdict))
     heads = "parameter | value | standard error | "
     heads += "from the data alone | " * outlook.has_prior + "target | verdict"
@@ -366,7 +366,7 @@ def outlook_table(assessment: Assessment) -> Table:
     outlook = assessment.identifiability
     rows = []
     for p in outlook.parameters:
-        seen = Cell(
+        seen = Value(
             assessment.seen(p.verdict), tone=outlook_tone(p.verdict, assessment)
         )
         rows.append((p.name, p.ratio if p.ratio <= LOST else "blind", seen))

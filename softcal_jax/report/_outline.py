@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._tree import Cell, Section, Table
+from softcal_jax._tree import Section, Table, Value
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
@@ -174,9 +174,9 @@ def _actuators(model: Model) -> Table:
     kinds = zip(actuators.names, actuators.kinds, strict=True)
     rows = []
     for a, (name, kind) in enumerate(kinds):
-        size, segments = Cell(volumes_of.get(a, ""), "m3"), geometry.segment_owner == a
+        size, segments = Value(volumes_of.get(a, ""), "m3"), geometry.segment_owner == a
         if np.any(segments):
-            size = Cell(float(lengths[segments].sum()), "m")
+            size = Value(float(lengths[segments].sum()), "m")
         rows.append((name, kind.noun, size))
     return Table.of("Actuators", "name | kind | at rest", rows)
 
@@ -191,7 +191,7 @@ def _placed(
     """List points at rest, and how far they are off the mesh."""
     off = locate(mesh, positions, max_distance=math.inf).distance
     rows = [
-        (name, place, Cell(float(distance) or "inside", digits=3), note)
+        (name, place, Value(float(distance) or "inside", digits=3), note)
         for name, place, distance, note in zip(
             names, positions, off, notes or [""] * len(names), strict=True
         )
@@ -348,7 +348,7 @@ def _parameters(parameters: Sequence[Parameter]) -> Table:
             size = readable_values([float(q.prior_std)], "percent" if share else q.unit)
             prior = f"+- {size.rstrip()}"
         scale = f"{q.scale}, periodic" if q.periodic else q.scale
-        ends = (Cell(float(end), q.unit) for end in (q.start, q.lower, q.upper))
+        ends = (Value(float(end), q.unit) for end in (q.start, q.lower, q.upper))
         rows.append((q.name, *ends, scale, prior))
     heads = "name | start | lower | upper | scale | prior"
     return Table.of("Parameters", heads, rows)
@@ -409,10 +409,10 @@ def mesh_section(mesh: TetMesh) -> Section:
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
         place = readable_values(point.tolist(), "m")
-        area = Cell(float(areas.sum()), "m2")
+        area = Value(float(areas.sum()), "m2")
         rows.append((name, area, f'a point on it: "{place}"'))
     for name, tets in mesh.tet_groups.items():
-        volume = Cell(float(volumes(mesh)[tets].sum()), "m3")
+        volume = Value(float(volumes(mesh)[tets].sum()), "m3")
         rows.append((name, volume, f"{len(tets)} tets"))
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:

@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal_jax import plotting
 from softcal_jax._text import MOST_NAMED, listed
-from softcal_jax._tree import Cell, Chart, Section, Table, verdict
+from softcal_jax._tree import Chart, Section, Table, Value, verdict
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     ConfigurationResult,
@@ -32,7 +32,7 @@ def simulation_sections(result: SimulationResult) -> tuple[Section, ...]:
             c.name,
             c.largest_displacement if c.converged else None,
             c.newton_steps,
-            Cell(c.outcome, tone="good" if c.converged else "bad"),
+            Value(c.outcome, tone="good" if c.converged else "bad"),
         )
         for c in poses
     ]
@@ -100,12 +100,12 @@ def _effectors(configurations: Sequence[ConfigurationResult]) -> Table:
     rows = [(c.name, e) for c in configurations for e in c.others]
     rows = [row for row in rows if roles == {"simulation"} or not row[1].is_turn]
 
-    def cell(effector: EffectorRecord, key: str) -> Cell:
+    def cell(effector: EffectorRecord, key: str) -> Value:
         values = getattr(effector, key)
         if np.isnan(values).any():
-            return Cell(None)
+            return Value(None)
         size = np.linalg.norm(values) if effector.is_turn else values
-        return Cell(size, effector.unit)
+        return Value(size, effector.unit)
 
     cells = [
         (pose, effector_name(e), *(cell(e, key) for key in shown.values()))
@@ -124,10 +124,10 @@ MOVED = "force or pressure | displacement or growth"
 """Heads of what `actuator_cells` returns."""
 
 
-def actuator_cells(state: ActuatorState) -> list[Cell]:
+def actuator_cells(state: ActuatorState) -> list[Value]:
     """Show force and displacement of an actuator, and which of them is imposed."""
     return [
-        Cell(value, unit or "", note="(imposed)" * (state.imposed == what))
+        Value(value, unit or "", note="(imposed)" * (state.imposed == what))
         for what, value, unit in (
             ("force", state.force, state.force_unit),
             ("displacement", state.displacement, state.displacement_unit),
@@ -219,7 +219,7 @@ def error_tables(
 
     def errors(of: str, heads: str, fits: Sequence[Any], *keys: str) -> Table:
         values = map(attrgetter("name", "role", *keys), fits)
-        rows = ((*r[:3], Cell(r[3], tone="strong"), *r[4:]) for r in values)
+        rows = ((*r[:3], Value(r[3], tone="strong"), *r[4:]) for r in values)
         title = f"Residuals of the {of}, rms"
         return Table.of(title, f"configuration | role | {heads}", rows)
 

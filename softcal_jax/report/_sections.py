@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal_jax._module import Result
 from softcal_jax._text import listed
-from softcal_jax._tree import Cell, Column, Section, Table, Tone, verdict
+from softcal_jax._tree import Column, Section, Table, Tone, Value, verdict
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import (
@@ -126,9 +126,9 @@ def _designed(result: DesignResult) -> Table:
             (
                 goal.configuration,
                 effector_name(effector),
-                Cell(met, tone="good" if goal.met else "bad"),
-                Cell(goal.error, effector.unit),
-                Cell(printed[0], effector.unit),
+                Value(met, tone="good" if goal.met else "bad"),
+                Value(goal.error, effector.unit),
+                Value(printed[0], effector.unit),
                 *printed[1:],
             )
         )
@@ -145,7 +145,7 @@ def _commands(result: DesignResult) -> Table:
             kind = actuators.kinds[actuators.names.index(name)]
             by_displacement = isinstance(imposed, ImposedDisplacement)
             unit = kind.displacement_unit if by_displacement else kind.force_unit
-            rows.append((configuration.name, name, Cell(imposed.value, unit or "")))
+            rows.append((configuration.name, name, Value(imposed.value, unit or "")))
     return Table.of("Commands", "configuration | actuator | imposed", rows)
 
 
@@ -153,8 +153,8 @@ def _limits(result: DesignResult) -> Table:
     """Tabulate what is largest anywhere in the body, where it has a limit."""
     rows = []
     for p in result.peaks:
-        sizes = (Cell(size, p.unit.strip("-")) for size in (p.value, p.limit))
-        kept = Cell("kept", tone="good") if p.kept else Cell("exceeded", tone="bad")
+        sizes = (Value(size, p.unit.strip("-")) for size in (p.value, p.limit))
+        kept = Value("kept", tone="good") if p.kept else Value("exceeded", tone="bad")
         rows.append((p.configuration, p.name, *sizes, kept))
     heads = "configuration | anywhere in the body | value | limit | "
     return Table.of("Limits", heads, rows)
@@ -220,7 +220,7 @@ def _trajectory(result: TrajectoryResult) -> tuple[Section, ...]:
     points = result.points
     far = [headline(points[i]) for i in result.unmet]
     rows = [
-        (i, _commanded(p), Cell(headline(p), tone="good" if p.met else "bad"))
+        (i, _commanded(p), Value(headline(p), tone="good" if p.met else "bad"))
         for i, p in enumerate(points, 1)
     ]
     table = Table.of("Commands", "goal | inputs | outcome", rows)
@@ -266,10 +266,10 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
         n, failed = len(model.folds), len(model.failed)
         failed = f"{failed} of {n}" if failed else "none"
         sizes = model.held_out_rms, model.held_out_noise_rms
-        excess = Cell(None)
+        excess = Value(None)
         if worse is not None and not math.isnan(worse.difference):
             width = worse.half_width if math.isfinite(worse.half_width) else math.nan
-            excess = Cell(worse.difference, error=width)
+            excess = Value(worse.difference, error=width)
         named = model.name, model.n_parameters
         rows.append((*named, *sizes, excess, model.fit_rms, failed))
     heads = "model | parameters | held-out error [m] | error / noise [correlation]"
@@ -383,7 +383,7 @@ def _transfer(result: Transfer) -> tuple[Section, ...]:
         d.names, d.units, d.of_a, d.std_a, d.of_b, d.std_b, d.unseen, strict=True
     )
     rows = [
-        (name, Cell(a, u, std_a), Cell(b, u, std_b), Cell(unseen, u, digits=2))
+        (name, Value(a, u, std_a), Value(b, u, std_b), Value(unseen, u, digits=2))
         for name, u, a, std_a, b, std_b, unseen in each
     ]
     heads = "parameter | from A | from B | smallest detectable difference"

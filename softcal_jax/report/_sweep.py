@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from softcal_jax._places import replacing
-from softcal_jax._tree import Cell, Chart, Column, Section, Table, Tone, verdict
+from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.report._html import REPEATED, closing, node, page
@@ -105,7 +105,7 @@ def trial_table(
     points = {axis: [shown(row.point[axis]) for row in rows] for axis in result.axes}
     columns = [
         *(Column(axis, values) for axis, values in points.items()),
-        Column("outcome", [Cell(row.state, tone=_TONES[row.state]) for row in rows]),
+        Column("outcome", [Value(row.state, tone=_TONES[row.state]) for row in rows]),
         Column("time", [row.seconds for row in rows], "time"),
     ]
     for figure in figures:
@@ -149,16 +149,16 @@ def _mean_table(
     return Table("Means", tuple(columns))
 
 
-def _mean(part: SweepResult, figure: str, unit: str | None = None) -> Cell:
+def _mean(part: SweepResult, figure: str, unit: str | None = None) -> Value:
     """Return the mean of a figure, and the standard deviation of several values."""
     if any(row.figures.get(figure) == OUT_OF_RANGE for row in part.rows):
-        return Cell(OUT_OF_RANGE)
+        return Value(OUT_OF_RANGE)
     values = figure_values(part.of_state("converged"), figure)
     values = values[np.isfinite(values)]
     mean = float(np.mean(values)) if values.size else None
     spread = float(np.std(values, ddof=1)) if values.size > 1 else np.nan
     alike = mean and spread < ROUNDING * abs(mean)
-    return Cell(mean, unit, 0.0 if alike else spread)
+    return Value(mean, unit, 0.0 if alike else spread)
 
 
 def _doubts(result: SweepResult) -> Iterator[str]:
@@ -253,7 +253,7 @@ def _spread_table(result: SweepResult) -> Table:
         (name, unit), values = figure_name(figure), result.numbers(figure)
         ends = values.min(), np.median(values), values.max()
         unit = unit.strip("-")
-        sizes = (Cell(float(end), unit) for end in ends)
+        sizes = (Value(float(end), unit) for end in ends)
         rows.append((name, values.size, _mean(result, figure, unit), *sizes))
     heads = "figure | trials | mean ± standard deviation | least | median | most"
     return Table.of("Figures of the trials", heads, rows, digits=5)
