@@ -36,7 +36,6 @@ from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima, search
 from softcal_jax.calibration._step import initial_state
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import (
-    SEVERAL,
     ControlPointParameters,
     ControlPoints,
     Parameter,
@@ -417,10 +416,10 @@ def test_several_starts_where_there_may_be_several_optima():
     theta = Parameter("theta", "theta", 0.0, -1.0, 1.0, scale="linear", unit="rad")
     zero = motor_zero("motor", limit=0.1, prior_std=None)
     assert default_starts(ParameterSpace([E, zero])) == 1
-    assert default_starts(ParameterSpace([E, theta])) == SEVERAL
+    assert default_starts(ParameterSpace([E, theta])) == 6
     spread = ControlPointParameters("E", points, 1e5, 1e4, 1e6)
-    assert default_starts(ParameterSpace([spread])) == SEVERAL
-    assert default_starts(SPACE) == SEVERAL
+    assert default_starts(ParameterSpace([spread])) == 6
+    assert default_starts(SPACE) == 6
 
 
 def test_only_a_few_optima_are_listed():
