@@ -295,7 +295,7 @@ def _check_outside(
     contacts = mechanism.contacts
     if contacts.n_obstacles == 0:
         return
-    depths = contacts.depths_at_start(mechanism.standing(bodies))
+    depths = contacts.depths_at_start(mechanism.standing(bodies, mounted=False))
     for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
         if depth > contacts.scale:
             deep = readable_values([float(depth)], "m", digits=3)

@@ -85,13 +85,24 @@ class Mechanism(Module):
         """
         return self.actuators.displacements(x) - self.motor_zero
 
-    def standing(self, states: rigid.BodyStateArrays) -> Standing:
-        """Return how the obstacles stand in a configuration."""
+    def standing(
+        self, states: rigid.BodyStateArrays, *, mounted: bool = True
+    ) -> Standing:
+        """Return how the obstacles stand in a configuration.
+
+        Those without nodes stand as they are mounted: that they stand a little
+        elsewhere is no slip.
+        """
         bodies, which = self.bodies, np.array(self.contacts.body, int)
         present = jnp.asarray(states.is_present)[bodies.owner[which]]
+        share = jnp.where(bodies.has_nodes, 0.0, float(mounted))[:, None]
+        turn = jax.vmap(rigid.rotation_matrix)
+        first = turn(share * bodies.mounting_rotation)
         frames = rigid.Frames(
-            jnp.asarray(bodies.origin) + jnp.asarray(states.start_translation),
-            jax.vmap(rigid.rotation_matrix)(jnp.asarray(states.start_rotation)),
+            jnp.asarray(bodies.origin)
+            + share * bodies.mounting_translation
+            + jnp.asarray(states.start_translation),
+            turn(jnp.asarray(states.start_rotation)) @ first,
         )
         ends = bodies.frame_nodes(frames)
         return Standing(present, ends[which])

@@ -20,8 +20,9 @@ since the point came in touch:
 So a point sticks, up to a slip of 2 c mu s with c = `STICK`, and slides where that does
 not hold it (the smooth step of Li and others, ACM Trans. Graph. 39, 2020, over the slip
 in place of its rate). Shear has no potential, so that a model with friction is not
-`conservative`. Slip is counted once for the whole load, along a straight way: what
-slides back and forth on the way there is not followed.
+`conservative`. Slip is counted once for the whole load, along a straight way in the
+frame of the obstacle, and its shear by the pressure at the end: what slides and then
+sticks, slides back, or on an obstacle that turns far is not followed.
 """
 
 from collections.abc import Callable, Sequence
@@ -209,10 +210,13 @@ class Contacts(Module):
         inside = jnp.maximum(depth, 1e-9 * s)
         way = inside / (outside + inside) * (y - start)
         way = way - normal * jnp.sum(normal * way)
-        stick = STICK * s
-        x = vector_length(way) / (stick * jnp.asarray(self.friction)[k])
-        share = jnp.where(x < 2.0, 1.0 - 0.25 * x, 1.0 / jnp.maximum(x, 1.0))  # h / x
-        return _Touch(depth, x, p * (share * way / stick - normal))
+        slip, mu, stick = vector_length(way), jnp.asarray(self.friction)[k], STICK * s
+        reach, least = mu * stick, 1e-12 * stick  # finite where mu and the slip are 0
+        x = slip / jnp.maximum(reach, least)
+        sticks = slip < 2.0 * reach
+        held = 1.0 - 0.25 * slip / jnp.where(sticks, reach, stick)
+        shear = jnp.where(sticks, held / stick, mu / jnp.maximum(slip, least))
+        return _Touch(depth, x, p * (shear * way - normal))
 
     def _face(
         self,

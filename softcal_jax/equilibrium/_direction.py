@@ -31,10 +31,6 @@ _LARGEST_TURN = 0.5
 """Rotation on a hinge beyond which a Newton step is meaningless [rad]."""
 
 
-_FAR = 1e3
-"""Displacement beyond which a body slides away, over the size of the robot [-]."""
-
-
 class Factor(NamedTuple):
     """A factorized tangent, the mean stiffness of an unknown, and the solver's report.
 
@@ -204,9 +200,7 @@ def line_search(
         free = ~strict & ~(point.touches | new.touches)
         good = (enough | moving | free) & new.finite & ~inside_out
         good = good & ~posed.passes_through(point.u, new.u)
-        if point.friction is not None:  # what slides away balances, by rounding
-            far = _FAR * posed.model.mechanism.bodies.length
-            good = good & (jnp.max(jnp.abs(new.u)) <= far)
+        good = good & ~posed.is_lost(new.u)
         return LineSearchTrial(new, lambda_a, size, alpha, good)
 
     def keep_trying(carry):

@@ -85,7 +85,7 @@ class LoadSteps:
     def strict(self, s: LoadState) -> Bool[Array, ""]:
         """Tell whether Newton's method takes only steps that lower Pi."""
         if not self.model.solver.counts_negative:
-            # Full steps could end in an unstable state unnoticed. Where only friction
+            # Other steps could end in an unstable state unnoticed. Where only friction
             # on obstacles has no potential, the last attempt takes them.
             rough = self.model.has_energy and not self.model.conservative
             return ~s.probing if rough else jnp.ones((), bool)

@@ -325,7 +325,7 @@ def iteration_by(solver: "Solver", most: int) -> Iteration:
         off = merit(posed, point, lambda_a, factor.gap_stiffness)
         residual = relative(posed, point, off, factor.stiffness)
         settled = residual.settled(settings.rtol) & point.finite & factor.ok
-        good = settled & ~posed.passes_through(s.point.u, u)
+        good = settled & ~posed.passes_through(s.point.u, u) & ~posed.is_lost(u)
         no = jnp.zeros((), bool)
         good = good & ~_astray(model, point, factor.n_negative, strict=no)
         steps = jnp.asarray(root.stats["num_steps"], s.step.dtype)

@@ -33,6 +33,9 @@ from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._sparsity import element_entries, reduce_values
 from softcal_jax.equilibrium._without_derivative import refuse_if
 
+_FAR = 1e3
+"""Displacement beyond which a body slides away, over the size of the robot [-]."""
+
 _UNMOVED = 1e-12
 """Distance of a held body from its place that is rounding, per frame length [-]."""
 
@@ -238,6 +241,12 @@ class Posed(NamedTuple):
             return jnp.zeros((), bool)
         x, y = self.model.positions(before), self.model.positions(after)
         return self.contacts.passes_through(x, y, self.standing)
+
+    def is_lost(self, u: Nodal) -> Bool[Array, ""]:
+        """Tell whether a body slid so far away that rounding lets it balance."""
+        if not any(self.contacts.sticks):
+            return jnp.zeros((), bool)
+        return jnp.max(jnp.abs(u)) > _FAR * self.model.mechanism.bodies.length
 
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].

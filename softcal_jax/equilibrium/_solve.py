@@ -224,9 +224,7 @@ def with_cause(
     failed = solution.result
     if failed in (RESULTS.converged, RESULTS.inverted):
         return solution
-    touched = Posed.of(model, lane).contact_states(state.stray)
-    sliding = [float(c.sliding) for c in touched if c.area > 0.0]
-    if sliding and min(sliding) > _SLIDES:
+    if _slides(model, lane, state.stray):
         return replace(solution, result=RESULTS.slides)
     u = state.iterate.point.u if failed == RESULTS.unstable else state.stray
     motion = u if failed == RESULTS.unstable else u - state.ok.u
@@ -240,6 +238,22 @@ def with_cause(
     if 2.0 * np.sum(works[2:][np.array(chambers, bool)]) > np.sum(works):
         return replace(solution, result=RESULTS.largest_pressure)
     return solution
+
+
+def _slides(model: Model, lane: ConfigurationArrays, u: Nodal) -> bool:
+    """Tell whether nothing but obstacles with friction holds the body, and too little.
+
+    A support that holds it along all axes, a spring, or a body that is guided does.
+    """
+    bodies, contacts = model.mechanism.bodies, model.mechanism.contacts
+    guided = np.any(np.asarray(lane.bodies.is_guided)[bodies.owner] & bodies.has_nodes)
+    supported = np.all(np.any(np.asarray(lane.fixed), axis=0)) or lane.springs.names
+    if guided or supported or not any(contacts.sticks):
+        return False
+    states = Posed.of(model, lane).contact_states(u)
+    rough = [c for c, sticks in zip(states, contacts.sticks, strict=True) if sticks]
+    sliding = [float(c.sliding) for c in rough if c.area > 0.0]
+    return bool(sliding) and min(sliding) > _SLIDES
 
 
 def loads_work(

@@ -132,6 +132,11 @@ class Kind(NamedTuple):
             names = list((self.names or beside)(owner))
             what = f"{self.noun} of parameter {entry.label!r}"
             check_known(what, [name for name in names if name], entry.of)
+            if names.count(entry.of) > 1:
+                raise ValueError(
+                    f"{what}: {entry.of!r} is the name of two, give them different "
+                    "names."
+                )
             index = (names.index(entry.of),)
         if self.components:
             index += (self.components.index(entry.axis),)

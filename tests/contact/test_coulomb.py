@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 import pytest
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody
@@ -72,6 +73,40 @@ def test_a_block_on_a_steeper_slope_slides(degrees):
     assert float(solution.load_reached) == 0.0
 
 
+def test_a_block_does_not_balance_far_away():
+    """Where everything slides, the tangent is nearly singular, and steps are long."""
+    newton = optimistix.Newton(rtol=1e-9, atol=1e-9)
+    pose = on_slope(STEEPEST + 1.0)
+    assert not bool(solve_equilibrium(BLOCK, pose, solver=newton).converged)
+
+
+def test_what_is_clamped_is_not_said_to_slide():
+    """A probe drags over it, and no step is left to say so."""
+    pose = dragged(2e-3)
+    solution = solve_equilibrium(PAD, pose, settings=NewtonSettings(max_steps=3))
+    assert RESULTS.max_steps == solution.result
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_where_a_rough_table_stands_along_itself_does_not_matter(turn):
+    """Its mounting is no slip, neither for the state nor for what it leads to."""
+    pose = replace(on_slope(10.0), effectors=[ContactForce("force", "table")])
+    lane = lanes(BLOCK, pose)[0]
+
+    @jax.jit
+    def state(aside):
+        of = lambda m: m.mechanism.bodies
+        where = lambda m: (of(m).mounting_translation, of(m).mounting_rotation)
+        moved = jnp.array([[1.0, 0.0, 0.0]]) * aside, jnp.array([[0.0, 0.0, turn]])
+        model = eqx.tree_at(where, BLOCK, moved)
+        return solve_equilibrium(model, lane).displacement[:-4]
+
+    nominal = state(0.0)
+    assert np.abs(nominal).max() > 1e-6
+    np.testing.assert_allclose(state(5e-4), nominal, atol=1e-12)
+    assert np.abs(jax.jit(jax.jacfwd(state))(0.0)).max() < 1e-9
+
+
 @pytest.mark.parametrize("load", [0.15, 5.0])
 def test_a_block_that_is_pressed_on_a_rough_table_is_stable(load):
     """It spreads against friction; the table carries all."""
@@ -114,16 +149,19 @@ PAD = build_model(
 )
 
 
-@pytest.mark.parametrize("aside", [2e-5, 2e-3], ids=["sticks", "slides"])
-def test_derivatives_of_what_sticks_and_slides(aside):
-    """By modulus and friction, forward against reverse, and against differences."""
-    pose = Configuration(
-        "p",
+def dragged(aside, name="p"):
+    """Press the ball into the clamped pad, and move it along it."""
+    return Configuration(
+        name,
         ["z_min"],
         bodies={"ball": Pose((aside, 0.0, -2e-3))},
         effectors=[ContactForce("force", "ball", measured=(0.0, 0.0, 0.0))],
         **WEIGHTLESS,
     )
+
+
+def force_of(pose):
+    """Return its force as a function of a factor on the modulus, and of friction."""
     lane, tight = lanes(PAD, pose)[0], NewtonSettings(rtol=1e-12)
 
     @jax.jit
@@ -134,6 +172,31 @@ def test_derivatives_of_what_sticks_and_slides(aside):
         u = solve_equilibrium(model, lane, settings=tight).displacement
         return effector_values(model, lane, u).ravel()
 
+    return force
+
+
+def test_no_friction_is_a_bound_that_a_fit_may_reach():
+    """Force and derivative are those without friction, and of a little of it."""
+    force, p = force_of(dragged(2e-3)), jnp.array([1.0, 0.0])
+    smooth = RigidBody("ball", shape=BALL.shape, origin=BALL.origin)
+    plain = build_model(
+        PAD.mesh, PAD.law, density=0.0, bodies=[smooth], contact_scale=5e-4
+    )
+    lane = lanes(plain, dragged(2e-3))[0]
+    u = solve_equilibrium(plain, lane, settings=NewtonSettings(rtol=1e-12))
+    without = effector_values(plain, lane, u.displacement).ravel()
+    np.testing.assert_allclose(force(p), without, rtol=1e-8, atol=1e-9)
+    slope = jax.jit(jax.jacfwd(force))(p)[:, 1]
+    assert abs(slope[0]) > 0.1
+    h = 1e-4
+    ahead = 4.0 * force(p.at[1].add(h)) - force(p.at[1].add(2.0 * h)) - 3.0 * force(p)
+    np.testing.assert_allclose(slope, ahead / (2.0 * h), atol=1e-4 * abs(slope[0]))
+
+
+@pytest.mark.parametrize("aside", [2e-5, 2e-3], ids=["sticks", "slides"])
+def test_derivatives_of_what_sticks_and_slides(aside):
+    """By modulus and friction, forward against reverse, and against differences."""
+    force = force_of(dragged(aside))
     p = jnp.array([1.0, 0.3])
     forward, reverse = jax.jit(jax.jacfwd(force))(p), jax.jit(jax.jacrev(force))(p)
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-9)
@@ -149,16 +212,7 @@ def test_derivatives_of_what_sticks_and_slides(aside):
 
 def test_friction_is_calibrated_beside_the_modulus():
     """From the forces of a probe that is pressed, and of one that is dragged on."""
-    poses = [
-        Configuration(
-            name,
-            ["z_min"],
-            bodies={"ball": Pose((aside, 0.0, -2e-3))},
-            effectors=[ContactForce("force", "ball", measured=(0.0, 0.0, 0.0))],
-            **WEIGHTLESS,
-        )
-        for name, aside in (("pressed", 0.0), ("dragged", 2e-3))
-    ]
+    poses = [dragged(0.0, "pressed"), dragged(2e-3, "dragged")]
     space = ParameterSpace(
         [
             Parameter("E", "E", 0.8 * E, 0.2 * E, 5.0 * E),
