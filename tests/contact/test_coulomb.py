@@ -9,6 +9,7 @@ import numpy as np
 import optimistix
 import pytest
 
+from softcal_jax.actuators import Cable
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
@@ -226,6 +227,16 @@ def test_friction_is_calibrated_beside_the_modulus():
     assert found.converged
     for name, value in truth.items():
         assert found.value(name) == pytest.approx(value, rel=1e-5)
+
+
+def test_the_name_of_a_cable_and_an_obstacle_is_refused():
+    """It would not tell whose friction is meant."""
+    guides = [(0.01, 0.01, 0.002), (0.012, 0.01, 0.01), (0.01, 0.01, 0.018)]
+    cable = Cable("ball", guides, friction=0.2, pulled_from="first")
+    parts = {"density": 0.0, "bodies": [BALL], "actuators": [cable]}
+    model = build_model(PAD.mesh, PAD.law, **parts)
+    with pytest.raises(ValueError, match="'ball' is the name of two"):
+        friction("ball", 0.2, limit=0.1, prior_std=None).check(model)
 
 
 @pytest.mark.slow
