@@ -403,8 +403,12 @@ def _slope(n: int) -> dict[str, float]:
     }
 
 
-def _belt(n: int) -> dict[str, float]:
-    """Figure of a belt over a quarter of a drum."""
+def belt() -> tuple[Callable[[float], EquilibriumSolution], float]:
+    """Pull both ends of a belt over a quarter of a drum.
+
+    Returns what solves for a ratio of both pulls, and the largest ratio that friction
+    holds.
+    """
     drum, thick, wide, pull = 0.02, 5e-4, 5e-3, 0.1
     flat = beam(0.5 * np.pi * drum, wide, thick, (24, 1, 1), order=2)
     x, y, z = np.asarray(flat.points).T
@@ -433,6 +437,12 @@ def _belt(n: int) -> dict[str, float]:
         return solve_equilibrium(model, pose)
 
     most = float(np.exp(0.3 * 0.5 * np.pi * drum / (drum + 0.5 * thick)))
+    return solve, most
+
+
+def _belt(n: int) -> dict[str, float]:
+    """Figure of a belt over a quarter of a drum."""
+    solve, most = belt()
     low, high = _slides_from(0.9 * most, 1.1 * most, n, solve)
     off = max(most - low, high - most) / most
     return {"belt_off_percent": 100.0 * off}

@@ -195,6 +195,10 @@ def edited(folder, change):
             "parameters were none and are E",
         ),
         (lambda d: d["solver"].update(n_tets=7), "n_tets was 7 and is 18"),
+        (lambda d: d.update(converged="true"), "converged is 'true', expected a bool"),
+        (lambda d: d["assessment"].update(reasons="no"), "reasons is 'no'.* a list"),
+        (lambda d: d["assessment"].update(reasons=[1]), "reasons is 1, expected a str"),
+        (lambda d: d["assessment"].update(contradicted=0), "contradicted is 0"),
     ],
 )
 def test_what_is_no_result(folder, change, message):

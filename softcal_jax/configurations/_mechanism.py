@@ -90,8 +90,8 @@ class Mechanism(Module):
     ) -> Standing:
         """Return how the obstacles stand in a configuration.
 
-        Those without nodes stand as they are mounted: that they stand a little
-        elsewhere is no slip.
+        Those without nodes start as they are mounted, since to stand a little elsewhere
+        is no slip; unless `mounted` is false: then they start where the model has them.
         """
         bodies, which = self.bodies, np.array(self.contacts.body, int)
         present = jnp.asarray(states.is_present)[bodies.owner[which]]

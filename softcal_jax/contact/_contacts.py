@@ -121,14 +121,15 @@ def _tamed(
 class _Touch(NamedTuple):
     """How points touch an obstacle, in its frame.
 
-    `depth` is how far they have come into the cushion [m], `slip` how far they slip,
-    where they slide from 2 on [-], and `traction` the gradient of the potential by
-    their place, over A E, with friction [-].
+    `depth` is how far they have come into the cushion [m], and `slip` how far they
+    slip, where they slide from 2 on [-]. `push` is the gradient of the potential by
+    their place, over A E, and `shear` what friction adds to it [-].
     """
 
     depth: Float[Array, ""]
     slip: Float[Array, ""]
-    traction: Float[Array, "3"]
+    push: Float[Array, "3"]
+    shear: Float[Array, "3"]
 
 
 class Contacts(Module):
@@ -197,14 +198,14 @@ class Contacts(Module):
     def _gaps(self, k: int, z: Float[Array, "m 3"]) -> Float[Array, " n_qp"]:
         return jax.vmap(self.shapes[k].distance)(self._local(z))
 
-    def _touch(self, k: int, pressure, rough: bool, y, start) -> _Touch:
+    def _touch(self, k: int, pressure, y, start) -> _Touch:
         """Compute how a point at `y` touches the obstacle `k`; it came from `start`."""
         s, shape = self.scale, self.shapes[k]
         gap, normal = jax.value_and_grad(shape.distance)(y)
         depth = 0.5 * s - gap
         p = pressure(depth, s)
-        if not (self.sticks[k] and rough):
-            return _Touch(depth, jnp.zeros(()), -p * normal)
+        if not self.sticks[k]:
+            return _Touch(depth, jnp.zeros(()), -p * normal, jnp.zeros(3))
         # How far it was outside of the cushion at the start, and how far it is inside.
         outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
         inside = jnp.maximum(depth, 1e-9 * s)
@@ -216,7 +217,7 @@ class Contacts(Module):
         sticks = slip < 2.0 * reach
         held = 1.0 - 0.25 * slip / jnp.where(sticks, reach, stick)
         shear = jnp.where(sticks, held / stick, mu / jnp.maximum(slip, least))
-        return _Touch(depth, x, p * (shear * way - normal))
+        return _Touch(depth, x, -p * normal, p * shear * way)
 
     def _face(
         self,
@@ -225,19 +226,20 @@ class Contacts(Module):
         area: Float[Array, " n_qp"],
         start: Float[Array, "m 3"],
         pressure: Callable[[Array, Array], Array] = _pressure,
-        *,
-        rough: bool = True,
-    ) -> tuple[Float[Array, "m 3"], _Touch]:
+    ) -> tuple[Float[Array, "m 3"], Float[Array, "m 3"], _Touch]:
         """Compute the force of a face on the obstacle `k` at the nodes `z` [N].
 
-        `start` are their positions before the load; unless `rough`, without friction.
+        With the friction in it; `start` are their positions before the load.
         """
         y, on_nodes = jax.vjp(self._local, z)
-        touch = jax.vmap(partial(self._touch, k, pressure, rough))
+        touch = jax.vmap(partial(self._touch, k, pressure))
         touches = touch(y, self._local(start))
         weight = self.stiffness * area[:, None]
-        (force,) = on_nodes(weight * touches.traction)
-        return force, touches
+        (force,) = on_nodes(weight * touches.push)
+        if not self.sticks[k]:
+            return force, jnp.zeros_like(force), touches
+        (friction,) = on_nodes(weight * touches.shear)
+        return force + friction, friction, touches
 
     def _positions(self, k: int, x, standing: Standing):
         """Return the positions, areas and starts of all faces with an obstacle [m]."""
@@ -262,13 +264,11 @@ class Contacts(Module):
         friction = jnp.zeros_like(x) if any(self.sticks) else None
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
-            parts, touches = jax.vmap(partial(self._face, k))(z, area, start)
+            parts, along, touches = jax.vmap(partial(self._face, k))(z, area, start)
             stored = jnp.sum(area * _cushion(touches.depth, self.scale))
             energy = energy + self.stiffness * stored
             force = self._added(k, force, parts)
             if friction is not None and self.sticks[k]:
-                normal = jax.vmap(partial(self._face, k, rough=False))
-                along = parts - normal(z, area, start)[0]
                 friction = self._added(k, friction, along)
         return energy, force, friction
 
@@ -351,7 +351,7 @@ class Contacts(Module):
         states = []
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
-            forces, touches = jax.vmap(partial(self._face, k))(z, area, start)
+            forces, _, touches = jax.vmap(partial(self._face, k))(z, area, start)
             on_frame = -jnp.sum(forces[:, -4:], axis=0)
             arms = x[self.frames[k]] - x[self.frames[k][0]][None]
             s, d = self.scale, touches.depth

@@ -60,8 +60,8 @@ class NeoHookean(AbstractLaw):
 RUBBER_RATIO = constant(
     "", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5), kind=POISSON
 )
-# Poisson's ratio of a rubber that nobody measured: 500 times as stiff in volume.
 INCOMPRESSIBLE = 0.499
+"""Default of Poisson's ratio: 500 times as stiff against volume change as in shear."""
 
 
 def signed(words: str):

@@ -171,7 +171,7 @@ def load_result(
             for file in fit.get("files", [])[:1]
             if file.endswith(".vtu")
         }
-        doubts = tuple(map(str, said["reasons"]))
+        doubts = tuple(said["reasons"])
         C = np.array(data["budget"]["covariance"], float)
         solver, version = {**data["solver"]}, data["versions"]["softcal_jax"]
         changes = {**source["changes"]}
@@ -249,8 +249,16 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, float]]:
         n, C = len(values), np.array(data["budget"]["covariance"], float)
         if C.size != n * n or np.any(np.diag(C.reshape(n, n)) < 0.0):
             raise ValueError(f"budget.covariance is none of {n} parameters")
-        if not isinstance(data["converged"], bool):
-            raise ValueError(f"converged is {data['converged']!r}, not true or false")
+        said = data["assessment"]
+        for key, written, kind in (
+            ("converged", data["converged"], bool),
+            ("assessment.contradicted", said.get("contradicted", False), bool),
+            ("assessment.outcome", said.get("outcome", ""), str),
+            ("assessment.reasons", said["reasons"], list),
+            *(("assessment.reasons", reason, str) for reason in said["reasons"]),
+        ):
+            if not isinstance(written, kind):
+                raise ValueError(f"{key} is {written!r}, expected a {kind.__name__}")
     if not data["converged"]:
         warnings.warn(
             f"{path}: the calibration did not converge: do not use its values. Run it "

@@ -9,6 +9,7 @@ import numpy as np
 import optimistix
 import pytest
 
+from benchmarks.contact import belt
 from softcal_jax.actuators import Cable
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.calibration import calibrate
@@ -16,9 +17,8 @@ from softcal_jax.configurations import (
     Configuration,
     ContactForce,
     PointForce,
-    SurfaceForce,
 )
-from softcal_jax.contact import Ball, Capsule, HalfSpace
+from softcal_jax.contact import Ball, HalfSpace
 from softcal_jax.equilibrium import (
     RESULTS,
     NewtonSettings,
@@ -242,31 +242,6 @@ def test_the_name_of_a_cable_and_an_obstacle_is_refused():
 @pytest.mark.slow
 def test_a_belt_over_a_drum_holds_what_euler_and_eytelwein_say():
     """T2 = T1 exp(mu theta), for a belt whose middle runs h / 2 beside the drum."""
-    R, thick, wide, mu, turn = 0.02, 5e-4, 5e-3, 0.3, 0.5 * np.pi
-    flat = beam(turn * R, wide, thick, (24, 1, 1), order=2)
-    x, y, z = np.asarray(flat.points).T
-    around = [(R + z) * np.sin(x / R), y, (R + z) * np.cos(x / R)]
-    drum = RigidBody(
-        "drum",
-        shape=Capsule(R, 0.05),
-        origin=(0.0, 0.5 * wide, 0.0),
-        axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-        friction=mu,
-    )
-    model = build_model(
-        replace(flat, points=np.stack(around, axis=1)),
-        NeoHookean(1e6, 0.3),
-        density=0.0,
-        bodies=[drum],
-        contact_scale=2e-5,
-    )
-    pull, most = 0.1, np.exp(mu * turn * R / (R + 0.5 * thick))
-    holds = []
-    for share in (0.99, 1.01):
-        ends = (-pull, 0.0, 0.0), (0.0, 0.0, -share * most * pull)
-        loads = [
-            SurfaceForce(*end) for end in zip(("x_min", "x_max"), ends, strict=True)
-        ]
-        pose = Configuration("p", loads=loads, **WEIGHTLESS)
-        holds.append(bool(solve_equilibrium(model, pose).converged))
-    assert holds == [True, False]
+    solve, most = belt()
+    assert bool(solve(0.99 * most).converged)
+    assert not bool(solve(1.01 * most).converged)
