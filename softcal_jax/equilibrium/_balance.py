@@ -221,7 +221,7 @@ def unbalanced(posed: Posed, point: Point, lambda_a: Float[Array, " n_a"]):
     rows = posed.model.mechanism.actuators.rows(x)
     forces = actuator_loads(posed, lambda_a)
     g = point.force - posed.load * posed.f_ext + posed.spring_force(point.u)
-    g = g + point.contact
+    g = g + point.contact + posed.anchor_force(point.u)
     if len(forces) > 0:
         g = g - jnp.sum(forces[:, None, None] * rows, axis=0)
     return g, rows
@@ -246,6 +246,9 @@ def nodal_tangent(
     """Add actuators, springs and contact to the tangent of the mesh [N/m]."""
     model, nodal = posed.model, posed.spring_tangent(mesh)
     nodal = posed.contact_tangent(u, nodal, tamed=tamed)
+    if posed.anchor is not None:
+        of_mesh = model.pattern.diagonal[: 3 * model.mesh.n_nodes]
+        nodal = nodal.at[of_mesh].add(posed.anchor[0])
     actuators = model.mechanism.actuators
     loads = actuator_loads(posed, lambda_a)
     # d(F_a^T lambda_a)/dx

@@ -252,7 +252,7 @@ def _lower(posed: Posed, point: Point, direction: NewtonDirection, reference):
 def _potential(posed: Posed, point: Point):
     """Compute Pi at a point, and the scale of its rounding [J]."""
     work = posed.load * posed.f_ext * point.u
-    springs = posed.spring_energy(point.u)
+    springs = posed.spring_energy(point.u) + posed.anchor_energy(point.u)
     value, scale = point.energy + springs - jnp.sum(work), point.energy_scale + springs
     scale = scale + jnp.sum(jnp.abs(work))
     forces = posed.configuration.actuation.forces

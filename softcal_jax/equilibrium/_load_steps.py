@@ -12,9 +12,16 @@ import jax.numpy as jnp
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.bodies import KINDS
-from softcal_jax.equilibrium._balance import Point, at_rest, estimated_forces, evaluate
+from softcal_jax.equilibrium._balance import (
+    Point,
+    at_rest,
+    estimated_forces,
+    evaluate,
+    unbalanced,
+)
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import (
+    NEAR,
     Count,
     Iterate,
     Iteration,
@@ -39,6 +46,15 @@ for other reasons.
 """
 
 
+_FIRST_MOTION = 0.05
+"""Motion of a free body on its first anchor, over the size of the robot [-]."""
+
+_LOOSER, _FIRMER = 0.25, 4.0
+"""Factors on the stiffness of an anchor, after an equilibrium and after a failure."""
+
+_FIRMEST = 1e3  # largest stiffness of an anchor, over that of the first [-]
+
+
 class LoadState(NamedTuple):
     """State of the loop.
 
@@ -46,7 +62,8 @@ class LoadState(NamedTuple):
     displacement at which the load was last cut. `probing`: the last attempt, see
     `_PROBE`. `lost` is the fewest negative eigenvalues of any unstable iterate at this
     load, `limit` the fewest at loads that count as beyond a limit point; 0 if all are
-    stable.
+    stable. `anchor` has the stiffness of that to `ok`, negative before it is needed and
+    0 after, and that of the first; None without obstacles [N/m].
     """
 
     iterate: Iterate
@@ -63,6 +80,7 @@ class LoadState(NamedTuple):
     probing: Bool[Array, ""]
     result: RESULTS
     done: Bool[Array, ""]
+    anchor: tuple[Float[Array, ""], Float[Array, ""]] | None
 
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
@@ -72,6 +90,10 @@ class LoadSteps:
     If that does not lead to a solution, load stepping starts from rest, as it does at
     once where a held body turns far and there is no guess. At each load it iterates by
     Newton's method, or by another `iteration`.
+
+    A body that no load leaves where it is, like one above a table, moves at full load
+    until an obstacle carries it: an anchor draws all nodes to where they were, then to
+    where that let them go, ever more loosely, as if the body moved through honey.
     """
 
     posed: Posed
@@ -111,18 +133,36 @@ class LoadSteps:
     def step(self, s: LoadState) -> LoadState:
         """Do one iteration, then keep, raise or cut the load."""
         posed = self.posed.at_load(s.load)
+        if s.anchor is not None:
+            stiffness = jnp.maximum(s.anchor[0], 0.0)
+            posed = posed._replace(anchor=(stiffness, s.ok.u))
         now = self.iteration(posed, self.settings, s.iterate, self.strict(s))
         s = s._replace(
             iterate=now,
             step=s.step + now.step - s.iterate.step,
             lost=_fewest(s.lost, now.n_negative),
         )
-        s = select(now.converged, self.next_load(s), s)
+        s = select(now.converged, self.onward(s), s)
         return jax.lax.cond(now.failed, self.back, lambda s: s, s)
 
     def run(self, s: LoadState, most: Count) -> LoadState:
         keep_going = lambda s: ~s.done & (s.step < most)
         return jax.lax.while_loop(keep_going, self.step, s)
+
+    def onward(self, s: LoadState) -> LoadState:
+        """Raise the load, or loosen the anchor."""
+        if s.anchor is None:
+            return self.next_load(s)
+        (stiffness, first), now, norm = s.anchor, s.iterate, jnp.linalg.norm
+        pull = norm(stiffness * (now.point.u - s.ok.u))
+        free = pull <= NEAR * jnp.maximum(norm(self.posed.f_ext), norm(now.point.force))
+        loosened = s._replace(
+            iterate=now.restarted(now.point, now.lambda_a),
+            ok=now.point,
+            lambda_ok=now.lambda_a,
+            anchor=(jnp.where(free, 0.0, _LOOSER * stiffness), first),
+        )
+        return select(stiffness > 0.0, loosened, self.next_load(s))
 
     def next_load(self, s: LoadState) -> LoadState:
         longest = jnp.minimum(2.0 * s.increment, self.longest)
@@ -165,7 +205,7 @@ class LoadSteps:
         so_far = RESULTS.where(beyond, RESULTS.limit_point, s.result)
         limit = so_far == RESULTS.limit_point
         why = RESULTS.where(limit, RESULTS.limit_point, why)
-        return s._replace(
+        cut = s._replace(
             iterate=now.restarted(s.ok, s.lambda_ok),
             stray=now.point.u,
             load=jnp.minimum(s.load_ok + increment, 1.0),
@@ -176,6 +216,29 @@ class LoadSteps:
             result=RESULTS.where(give_up, why, so_far),
             done=give_up,
         )
+        return cut if s.anchor is None else self.anchored(s, cut, give_up, why)
+
+    def anchored(
+        self, s: LoadState, cut: LoadState, give_up: Bool[Array, ""], why: RESULTS
+    ) -> LoadState:
+        """Begin with an anchor where no load is carried, or take a firmer one."""
+        assert s.anchor is not None
+        stiffness, first = s.anchor
+        before = stiffness < 0.0
+        # Where the first load step is the smallest, that step alone is wanted.
+        mobile = (s.load_ok == 0.0) & (self.settings.smallest_load_step < 1.0)
+        begins = give_up & before & mobile & (first > 0.0)
+        firmer = jnp.where(before, first, _FIRMER * stiffness)
+        goes_on = begins | ((stiffness > 0.0) & (firmer <= _FIRMEST * first))
+        moved = cut._replace(
+            load=jnp.ones_like(s.load),
+            stray=jnp.where(before, cut.stray, s.stray),
+            probing=jnp.zeros((), bool),
+            result=RESULTS.where(before, why, s.result),
+            done=~goes_on,
+            anchor=(firmer, first),
+        )
+        return select(begins | ~before, moved, cut)
 
     def start(self, u0: Nodal | None = None) -> LoadState:
         """Begin at rest, or at a guess `u0` with its bodies made rigid."""
@@ -191,6 +254,12 @@ class LoadSteps:
             point = select(warm, guess, rest)
             load = jnp.where(warm, jnp.ones(()), load)
             lambda_a = jnp.where(warm, estimated_forces(self.posed, point), 0.0)
+        anchor = None
+        if self.posed.contacts.n_obstacles > 0:
+            g, _ = unbalanced(self.posed, rest, jnp.zeros_like(rest.delta_a))
+            force = jnp.sum(jnp.abs(self.posed.on_free(rest.u, g)))
+            motion = _FIRST_MOTION * self.model.mechanism.bodies.length
+            anchor = (-jnp.ones(()), force / (motion * self.model.n_points))
         return LoadState(
             iterate=first_iterate(self.model, point, lambda_a),
             ok=rest,
@@ -206,6 +275,7 @@ class LoadSteps:
             probing=jnp.zeros((), bool),
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
+            anchor=anchor,
         )
 
 

@@ -107,7 +107,8 @@ class Posed(NamedTuple):
     `f_ext` are dead loads and weight at full load [N]. `fixed` flags the unknowns that
     are not free: held, or of nodes that follow a body. Without bodies, their `states`
     (as constrained by configuration and motors), `arms` (for `winding`) [m] and
-    `mounted` frames at this load are None.
+    `mounted` frames at this load are None. An `anchor` is a stiffness, with which
+    every node of the mesh is drawn to a displacement [N/m, m].
     """
 
     model: Model
@@ -118,6 +119,7 @@ class Posed(NamedTuple):
     states: BodyStateArrays | None = None
     arms: Float[Array, "n_b 3"] | None = None
     mounted: Mounted | None = None
+    anchor: tuple[Float[Array, ""], Nodal] | None = None
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
@@ -196,6 +198,18 @@ class Posed(NamedTuple):
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
+    def anchor_force(self, u: Nodal) -> Nodal:
+        """Compute the forces of the nodes on the anchor [N]."""
+        if self.anchor is None:
+            return jnp.zeros_like(u)
+        (stiffness, place), n = self.anchor, self.model.mesh.n_nodes
+        return (stiffness * (u - place)).at[n:].set(0.0)
+
+    def anchor_energy(self, u: Nodal) -> Float[Array, ""]:
+        if self.anchor is None:
+            return jnp.zeros(())
+        return 0.5 * jnp.sum(self.anchor_force(u) * (u - self.anchor[1]))
+
     @property
     def contacts(self) -> Contacts:
         return self.model.mechanism.contacts
@@ -244,7 +258,7 @@ class Posed(NamedTuple):
 
     def is_lost(self, u: Nodal) -> Bool[Array, ""]:
         """Tell whether a body slid so far away that rounding lets it balance."""
-        if not any(self.contacts.sticks):
+        if not any(self.contacts.sticks) and self.anchor is None:
             return jnp.zeros((), bool)
         return jnp.max(jnp.abs(u)) > _FAR * self.model.mechanism.bodies.length
 

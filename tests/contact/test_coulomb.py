@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.contact import belt
 from softcal_jax.actuators import Cable
-from softcal_jax.bodies import BodyState, Pose, RigidBody
+from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
     Configuration,
@@ -74,6 +74,47 @@ def test_a_block_on_a_steeper_slope_slides(degrees):
     assert float(solution.load_reached) == 0.0
 
 
+@pytest.mark.parametrize("height", [1e-3, 0.05])
+def test_a_block_above_a_rough_table_falls_on_it(height):
+    """No share of its weight leaves it where it is; the table then carries all."""
+    table = RigidBody("table", shape=HalfSpace(), origin=(0, 0, -height), friction=MU)
+    model = build_model(
+        BLOCK.mesh, BLOCK.law, density=1000.0, bodies=[table], contact_scale=SCALE
+    )
+    pose = on_slope(0.0)
+    solution = solve_equilibrium(model, pose)
+    assert bool(solution.converged), str(solution)
+    weight = model.mass * np.asarray(pose.gravity)
+    force = felt(model, pose, solution).force
+    np.testing.assert_allclose(force, weight, atol=1e-7 * model.mass)
+    fallen = -np.asarray(solution.displacement)[: model.mesh.n_nodes, 2].mean()
+    assert fallen == pytest.approx(height, abs=2.0 * SCALE)
+
+
+def test_a_block_that_falls_away_from_a_table_has_no_equilibrium():
+    solution = solve_equilibrium(BLOCK, on_slope(180.0))
+    assert not bool(solution.converged)
+    assert float(solution.load_reached) == 0.0
+
+
+@pytest.mark.parametrize("friction", [0.0, MU])
+def test_a_hinged_beam_comes_down_on_a_table(friction):
+    """The table carries half of its weight; it is stiff, and turns by a tenth."""
+    mesh = beam(0.1, 0.01, 0.01, (5, 1, 1), order=2)
+    hinge = RigidBody("hinge", "x_min", axes=hinge_axes((0, 1, 0)))
+    below = {"shape": HalfSpace(), "origin": (0.0, 0.0, -0.01)}
+    table = RigidBody("table", friction=friction, **below)
+    model = build_model(
+        mesh, NeoHookean(1e7, 0.45), density=1000.0, bodies=[hinge, table]
+    )
+    pose = Configuration("p", bodies={"hinge": BodyState("hinged")})
+    solution = solve_equilibrium(model, pose)
+    assert bool(solution.converged), str(solution)
+    force = felt(model, pose, solution).force[2]
+    np.testing.assert_allclose(force, -0.5 * 9.81 * model.mass, rtol=0.03)
+
+
+@pytest.mark.slow
 def test_a_block_does_not_balance_far_away():
     """Where everything slides, the tangent is nearly singular, and steps are long."""
     newton = optimistix.Newton(rtol=1e-9, atol=1e-9)
