@@ -218,6 +218,10 @@ def _pulled(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
     return each_of(arrays.actuation.names, by_force)
 
 
+def _named_loads(project: Any) -> Iterator[tuple[str]]:
+    return ((load.name,) for c in project.configurations for load in c.loads)
+
+
 def _movable(project: Any) -> Iterator[tuple[str]]:
     frames = [name for name, e in project.effectors.items() if e.type == "frame"]
     markers = project.markers.positions if project.markers else ()
@@ -399,7 +403,31 @@ _ROWS = (
         limit=2.0,
         each=True,
         section="`loads` of a configuration",
-        subjects=lambda p: ((load.name,) for c in p.configurations for load in c.loads),
+        subjects=_named_loads,
+    ),
+    Kind(
+        "load_offset",
+        "{axis} offset of {of}",
+        "configuration.loads.offset",
+        noun="load",
+        components=_XYZ,
+        unit="N",
+        uncertain="load_offsets",
+        std=0.0,
+        about="Offset of each dead load that has a resultant, along each axis [N], "
+        "like that of a load cell that was not tared; none unless it is stated. One "
+        "error for all loads of a name in all configurations.",
+        remedy="tare the load cell",
+        occurs=lambda m, c, _: each_of(c.loads.names, c.loads.shares.any(2)),
+        absent="no configuration has a dead load {of!r} with a resultant force",
+        words="""Make a force that adds to dead loads three parameters.
+
+        It is that of a load cell that was not tared, or of what hangs there unweighed,
+        along the axes of the mesh, and acts where the load acts.""",
+        unnamed=UNNAMED_LOADS,
+        each=True,
+        section="`loads` of a configuration",
+        subjects=_named_loads,
     ),
     Kind(
         "actuator_factor",
