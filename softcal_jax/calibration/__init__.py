@@ -20,6 +20,11 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult as SimulationResult,
     simulation_result as simulation_result,
 )
+from softcal_jax.calibration._density import (
+    LogDensity as LogDensity,
+    errors as errors,
+    log_density as log_density,
+)
 from softcal_jax.calibration._evaluation import (
     Evaluation as Evaluation,
     Evaluator as Evaluator,

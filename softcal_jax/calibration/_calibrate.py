@@ -4,10 +4,8 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 
 from softcal_jax._lanes import lane_of
@@ -21,7 +19,8 @@ from softcal_jax.calibration._checked_intervals import (
     whole_interval,
     with_intervals,
 )
-from softcal_jax.calibration._evaluation import effector_errors, evaluate
+from softcal_jax.calibration._density import errors
+from softcal_jax.calibration._evaluation import evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
@@ -39,8 +38,6 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     check_converged,
-    effector_values,
-    solve_equilibrium,
 )
 from softcal_jax.fields import (
     PRECISION,
@@ -364,22 +361,8 @@ def levenberg_marquardt(
 
     begin = problem.space.start()
     guess = evaluate(problem, begin).equilibrium.displacement
-
-    def errors(z, problem: Problem):
-        model, configurations = problem.at(z)
-        newton = problem.newton
-        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
-        solution = jax.vmap(solve)(configurations, guess)
-        states = solution.displacement, solution.multipliers
-        e = jax.vmap(partial(effector_values, model))(configurations, *states)
-        delta_e = effector_errors(problem, e)
-        none = jnp.zeros((delta_e.size, z.shape[0]))
-        error = problem.rows(z, delta_e, none).error
-        # A step to parameters without equilibrium must be refused.
-        return jnp.where(jnp.all(solution.converged), error, jnp.inf)
-
     solution = optx.least_squares(
-        errors,
+        lambda z, problem: errors(problem, z, guess),
         optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
         begin,
         args=problem.bare,
