@@ -51,6 +51,7 @@ class Kind(NamedTuple):
         is_noise: Whether an error of it is part of the noise, and not considered.
         uncertain: Key of [uncertain] with its standard deviation there, if any.
         std: The usual one, unless another row or `Uncertain` has it.
+        optional: Whether it counts only where its standard deviation is stated.
         about: What has such errors, for the docstring of `Uncertain`.
         remedy: What helps against them, for the budget.
         occurs: Scopes by the name of what it belongs to: from the model, the arrays of
@@ -82,6 +83,7 @@ class Kind(NamedTuple):
     is_noise: bool = False
     uncertain: str = ""
     std: float = math.nan
+    optional: bool = False
     about: str = ""
     remedy: str = ""
     occurs: Callable[[Any, Any, Sequence[str]], Mapping[str, Scope]] = lambda *_: {}
@@ -413,7 +415,8 @@ _ROWS = (
         components=_XYZ,
         unit="N",
         uncertain="load_offsets",
-        std=0.0,
+        std=5e-3,
+        optional=True,
         about="Offset of each dead load that has a resultant, along each axis [N], "
         "like that of a load cell that was not tared; none unless it is stated. One "
         "error for all loads of a name in all configurations.",
@@ -482,16 +485,18 @@ def _std(usual: float, unit: str = "", remedy: str = "") -> Any:
     return eqx.field(default=usual, metadata={"unit": unit, "remedy": remedy})
 
 
-_WITH_STD = {kind.uncertain: kind for kind in _ROWS if not math.isnan(kind.std)}
+WITH_STD = {kind.uncertain: kind for kind in _ROWS if not math.isnan(kind.std)}
+"""The kind that has the usual standard deviation of each key of [uncertain]."""
 
 
 def _stds_of_kinds() -> Any:
     """Make a class whose fields are the standard deviations of `KINDS`."""
     types_of: dict[str, Any] = {}
     content = {"__annotations__": types_of}
-    for key, kind in _WITH_STD.items():
+    for key, kind in WITH_STD.items():
         types_of[key] = float | Literal["estimated"] if kind.is_noise else float
-        content[key] = _std(kind.std, "%" if kind.relative else kind.unit, kind.remedy)
+        std = 0.0 if kind.optional else kind.std
+        content[key] = _std(std, "%" if kind.relative else kind.unit, kind.remedy)
     return types.new_class(
         "AbstractUncertain", (Module,), {}, lambda c: c.update(content)
     )
@@ -536,7 +541,7 @@ class Uncertain(_stds_of_kinds()):
                 )
 
 
-for _key, _kind in _WITH_STD.items():
+for _key, _kind in WITH_STD.items():
     _line = fill(f"{_key}: {_kind.about}", 80, subsequent_indent="    ")
     Uncertain.__doc__ = f"{cleandoc(str(Uncertain.__doc__))}\n{indent(_line, '    ')}"
 
