@@ -6,7 +6,6 @@ from softcal_jax.calibration._calibrate import (
     build_problem as build_problem,
     calibrate as calibrate,
     checked_problem as checked_problem,
-    levenberg_marquardt as levenberg_marquardt,
     number_of_starts as number_of_starts,
     profile_intervals as profile_intervals,
 )

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
-import jax.numpy as jnp
-
 from softcal_jax._lanes import lane_of
 from softcal_jax._process import check_process, progress_line
 from softcal_jax._text import check_known, listed
@@ -19,7 +17,6 @@ from softcal_jax.calibration._checked_intervals import (
     whole_interval,
     with_intervals,
 )
-from softcal_jax.calibration._density import errors
 from softcal_jax.calibration._evaluation import evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
 from softcal_jax.calibration._notes import (
@@ -347,30 +344,3 @@ def as_sequence(
     """Return configurations as a tuple; a single one may be given by itself."""
     one = isinstance(configurations, Configuration)
     return (configurations,) if one else tuple(configurations)
-
-
-def levenberg_marquardt(
-    problem: Problem,
-) -> tuple[Float[Array, " n_p"], bool]:
-    """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
-
-    The Jacobian is by autodiff through the implicit derivative of the equilibrium.
-    Returns scaled parameters, and whether it converged inside the bounds.
-    """
-    import optimistix as optx  # here, as it takes a fifth of the package's import time
-
-    begin = problem.space.start()
-    guess = evaluate(problem, begin).equilibrium.displacement
-    solution = optx.least_squares(
-        lambda z, problem: errors(problem, z, guess),
-        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
-        begin,
-        args=problem.bare,
-        options={"jac": "fwd"},
-        max_steps=100,
-        throw=False,
-    )
-    z = solution.value
-    down, up = problem.space.room(z)
-    inside = jnp.all((down <= 0.0) & (up >= 0.0))
-    return z, bool(inside & (solution.result == optx.RESULTS.successful))

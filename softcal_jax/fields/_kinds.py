@@ -417,16 +417,14 @@ _ROWS = (
         uncertain="load_offsets",
         std=5e-3,
         optional=True,
-        about="Offset of each dead load that has a resultant, along each axis [N], "
-        "like that of a load cell that was not tared; none unless it is stated. One "
-        "error for all loads of a name in all configurations.",
+        about="Offset of all dead loads of a name that have a resultant, along each "
+        "axis [N]; none unless it is stated.",
         remedy="tare the load cell",
         occurs=lambda m, c, _: each_of(c.loads.names, c.loads.shares.any(2)),
         absent="no configuration has a dead load {of!r} with a resultant force",
         words="""Make a force that adds to dead loads three parameters.
 
-        It is that of a load cell that was not tared, or of what hangs there unweighed,
-        along the axes of the mesh, and acts where the load acts.""",
+        It acts where the load does, like what a load cell reads without one.""",
         unnamed=UNNAMED_LOADS,
         each=True,
         section="`loads` of a configuration",

@@ -181,7 +181,7 @@ def test_without_an_equilibrium_all_errors_are_infinite(problem, result):
 
 def test_a_result_of_another_calibration_is_refused(problem, result):
     fewer = build_problem(MODEL, SPACE[:1], problem.poses, EXACT)
-    with pytest.raises(ValueError, match=r"of E and rho with 18 .*problem of E with"):
+    with pytest.raises(ValueError, match=r"of E and rho and 18 .*problem of E and"):
         log_density(fewer, around=result)
 
 
