@@ -6,6 +6,8 @@ covariance V of the noise becomes V + W_c W_c^T (Bridle et al., Mon. Not. R. Ast
 Soc. 335, 2002).
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._text import listed
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._result import CalibrationResult
 from softcal_jax.equilibrium import (
@@ -45,7 +47,9 @@ def errors(
         The errors [-]; all infinite, with derivatives of zero, where a pose has no
         equilibrium.
     """
-    return _errors(problem.fitted.numbered, z, guess)
+    problem = problem.fitted.bare
+    traced = any(map(is_traced, jax.tree.leaves(problem)))
+    return _errors(problem if traced else problem.numbered, z, guess)
 
 
 @eqx.filter_jit
@@ -100,7 +104,7 @@ class LogDensity(Module):
         """Compute the log density of coordinates x; see `log_density`."""
         z, space = self.z(x), self.problem.space
         down, up = space.room(z)
-        A, b = space.in_plain_steps().rows()
+        A, b = space.rows()
         inside = jnp.all(down <= 0.0) & jnp.all(up >= 0.0) & jnp.all(A @ z <= b)
         at = jnp.where(inside, z, space.start())
         rows = _errors(self.problem, at, self.guess, self.considered)
@@ -148,8 +152,8 @@ def log_density(
     now = evaluate(problem, z)
     check_converged(now.equilibrium, problem.names)
     arrays = jax.device_put((factor, np.asarray(scale, float), considered))
-    guess = now.equilibrium.displacement
-    return LogDensity(problem.numbered, centre, guess, *arrays)
+    guess, space = now.equilibrium.displacement, problem.space.in_plain_steps()
+    return LogDensity(replace(problem, space=space).numbered, centre, guess, *arrays)
 
 
 def _check(problem: Problem, result: CalibrationResult) -> None:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module, key
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.equilibrium._assembly import no_strains, predict, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
@@ -101,8 +101,8 @@ class NewtonSettings(Module):
         """Return the settings as arrays, so that one compiled program serves all."""
         whole = lambda value: np.issubdtype(np.result_type(value), np.integer)
         kind = lambda value: np.int32 if whole(value) else float
-        of = lambda x: x if is_traced(x) else np.asarray(x, kind(x))
-        return jax.device_put(jax.tree.map(of, self))
+        host = jax.tree.map(lambda value: np.asarray(value, kind(value)), self)
+        return jax.device_put(host)
 
 
 class Iterate(NamedTuple):
