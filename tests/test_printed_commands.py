@@ -183,6 +183,7 @@ SCENES = {
     "docs/guide/fields.md": (nothing, SLOW),
     "docs/guide/other-programs.md": (calibrated, SLOW),
     "docs/guide/pictures.md": (drawn, SLOW),
+    "docs/guide/posterior.md": (nothing, SLOW),
     "docs/guide/robots.md": (nothing, SLOW),
     "docs/guide/sweeps.md": (swept, SLOW),
     "docs/guide/verdict.md": (calibrated, SLOW),

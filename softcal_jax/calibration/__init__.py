@@ -6,7 +6,6 @@ from softcal_jax.calibration._calibrate import (
     build_problem as build_problem,
     calibrate as calibrate,
     checked_problem as checked_problem,
-    levenberg_marquardt as levenberg_marquardt,
     number_of_starts as number_of_starts,
     profile_intervals as profile_intervals,
 )
@@ -19,6 +18,11 @@ from softcal_jax.calibration._configuration_result import (
     ConfigurationResult as ConfigurationResult,
     SimulationResult as SimulationResult,
     simulation_result as simulation_result,
+)
+from softcal_jax.calibration._density import (
+    LogDensity as LogDensity,
+    errors as errors,
+    log_density as log_density,
 )
 from softcal_jax.calibration._evaluation import (
     Evaluation as Evaluation,

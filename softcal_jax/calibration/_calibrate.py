@@ -4,11 +4,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
-
-import jax
-import jax.numpy as jnp
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._process import check_process, progress_line
@@ -21,7 +17,7 @@ from softcal_jax.calibration._checked_intervals import (
     whole_interval,
     with_intervals,
 )
-from softcal_jax.calibration._evaluation import effector_errors, evaluate
+from softcal_jax.calibration._evaluation import evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
 from softcal_jax.calibration._notes import (
     CalibrationWarning,
@@ -39,8 +35,6 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     check_converged,
-    effector_values,
-    solve_equilibrium,
 )
 from softcal_jax.fields import (
     PRECISION,
@@ -350,44 +344,3 @@ def as_sequence(
     """Return configurations as a tuple; a single one may be given by itself."""
     one = isinstance(configurations, Configuration)
     return (configurations,) if one else tuple(configurations)
-
-
-def levenberg_marquardt(
-    problem: Problem,
-) -> tuple[Float[Array, " n_p"], bool]:
-    """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
-
-    The Jacobian is by autodiff through the implicit derivative of the equilibrium.
-    Returns scaled parameters, and whether it converged inside the bounds.
-    """
-    import optimistix as optx  # here, as it takes a fifth of the package's import time
-
-    begin = problem.space.start()
-    guess = evaluate(problem, begin).equilibrium.displacement
-
-    def errors(z, problem: Problem):
-        model, configurations = problem.at(z)
-        newton = problem.newton
-        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
-        solution = jax.vmap(solve)(configurations, guess)
-        states = solution.displacement, solution.multipliers
-        e = jax.vmap(partial(effector_values, model))(configurations, *states)
-        delta_e = effector_errors(problem, e)
-        none = jnp.zeros((delta_e.size, z.shape[0]))
-        error = problem.rows(z, delta_e, none).error
-        # A step to parameters without equilibrium must be refused.
-        return jnp.where(jnp.all(solution.converged), error, jnp.inf)
-
-    solution = optx.least_squares(
-        errors,
-        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
-        begin,
-        args=problem.bare,
-        options={"jac": "fwd"},
-        max_steps=100,
-        throw=False,
-    )
-    z = solution.value
-    down, up = problem.space.room(z)
-    inside = jnp.all((down <= 0.0) & (up >= 0.0))
-    return z, bool(inside & (solution.result == optx.RESULTS.successful))

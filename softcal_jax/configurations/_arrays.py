@@ -169,17 +169,36 @@ class Springs(Module):
         return of_face * jnp.asarray(self.coupling)[:, :, :, None]
 
 
-class DeadLoads(Module):
-    """Dead nodal forces [N] by the names of loads, and a factor on each [-].
+_CANCELS = 1e-9
+"""Resultant of a load, over the root of its squared forces, that is rounding [-]."""
 
-    The factor is 1 unless it is a parameter. Those that are `spread` are shared out by
-    areas or lengths at rest.
+
+class DeadLoads(Module):
+    """Dead nodal forces [N] by the names of loads, a factor and an offset of each.
+
+    The factor [-] is 1 and the offset [N] is 0 unless they are parameters. Those that
+    are `spread` are shared out by areas or lengths at rest.
     """
 
     force: Float[AnyArray, "*batch n_loads n_points 3"]
     factor: Float[AnyArray, "*batch n_loads"]
+    offset: Float[AnyArray, "*batch n_loads 3"]
     spread: Bool[AnyArray, "*batch n_loads"]
     names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def shares(self) -> Float[AnyArray, "*batch n_loads n_points"]:
+        """How the nodes share an offset: as they share the resultant of the load [-].
+
+        Zero for a load whose forces cancel, up to rounding.
+        """
+        xp = numpy_of(self.force)
+        force = xp.asarray(self.force)
+        resultant = xp.sum(force, axis=-2, keepdims=True)
+        square = xp.sum(resultant**2, axis=-1)
+        exists = square > _CANCELS**2 * xp.sum(force**2, axis=(-2, -1))[..., None]
+        along = xp.sum(force * resultant, axis=-1) / xp.where(exists, square, 1.0)
+        return xp.where(exists, along, 0.0)
 
 
 class ConfigurationArrays(Module):
@@ -272,6 +291,8 @@ class ConfigurationArrays(Module):
 
     @property
     def dead_loads(self) -> Float[Array, "n_points 3"]:
-        """Sum of the dead nodal forces with their factors [N]."""
-        factor = jnp.asarray(self.loads.factor)[:, None, None]
-        return jnp.sum(factor * jnp.asarray(self.loads.force), axis=0)
+        """Sum of the dead nodal forces with their factors and offsets [N]."""
+        loads = self.loads
+        shares, offset = map(jnp.asarray, (loads.shares, loads.offset))
+        of_each = jnp.asarray(loads.factor)[:, None, None] * jnp.asarray(loads.force)
+        return jnp.sum(of_each + shares[:, :, None] * offset[:, None], axis=0)

@@ -185,8 +185,8 @@ def check_held(
 class AbstractLoad(Module):
     """A load that becomes forces on nodes, consistent with the shape functions.
 
-    Loads of one name share a factor where they are only roughly known, see
-    `load_factor`.
+    Loads of one name share a factor and an offset where they are only roughly known,
+    see `load_factor` and `load_offset`.
     """
 
     name: str = eqx.field(default=UNNAMED_LOADS, kw_only=True)

@@ -262,6 +262,7 @@ def _lane(
     bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
     actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(loads), n_points, 3))
+    no_errors = np.ones(len(loads)), np.zeros((len(loads), 3))
     by_node = NodalForces | PointForce
     shared_out = [load.name for load in c.loads if not isinstance(load, by_node)]
     for load in c.loads:
@@ -279,7 +280,7 @@ def _lane(
         fixed=fixed,
         imposed=imposed,
         springs=_stiffened(springs, mesh, c, rest),
-        loads=DeadLoads(force, np.ones(len(force)), np.isin(loads, shared_out), loads),
+        loads=DeadLoads(force, *no_errors, np.isin(loads, shared_out), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
         bodies=bodies,

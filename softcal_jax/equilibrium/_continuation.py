@@ -72,6 +72,7 @@ def unloaded(configuration: ConfigurationArrays) -> Known:
         c.imposed,
         c.springs.rest,
         c.loads.force,
+        c.loads.offset,
         c.gravity,
         c.actuation.value,
     )
@@ -156,7 +157,8 @@ def detours(
     Of several actuators that differ, one changes after the other. If loads and
     something else differ, the loads change first, or last.
     """
-    loads = lambda c: (c.loads.force, c.loads.factor, c.gravity, c.tilt)
+    of_loads = lambda loads: (loads.force, loads.factor, loads.offset)
+    loads = lambda c: (*of_loads(c.loads), c.gravity, c.tilt)
     start, end = (np.asarray(c.actuation.value) for c in (a, b))
     order = np.cumsum(start != end)
     inputs = [np.where(order <= k, end, start) for k in range(1, order.max(initial=0))]

@@ -51,6 +51,7 @@ class Kind(NamedTuple):
         is_noise: Whether an error of it is part of the noise, and not considered.
         uncertain: Key of [uncertain] with its standard deviation there, if any.
         std: The usual one, unless another row or `Uncertain` has it.
+        optional: Whether it counts only where its standard deviation is stated.
         about: What has such errors, for the docstring of `Uncertain`.
         remedy: What helps against them, for the budget.
         occurs: Scopes by the name of what it belongs to: from the model, the arrays of
@@ -82,6 +83,7 @@ class Kind(NamedTuple):
     is_noise: bool = False
     uncertain: str = ""
     std: float = math.nan
+    optional: bool = False
     about: str = ""
     remedy: str = ""
     occurs: Callable[[Any, Any, Sequence[str]], Mapping[str, Scope]] = lambda *_: {}
@@ -216,6 +218,10 @@ def _obstacles(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
 def _pulled(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
     by_force = ~arrays.actuation.by_displacement & (arrays.actuation.value != 0.0)
     return each_of(arrays.actuation.names, by_force)
+
+
+def _named_loads(project: Any) -> Iterator[tuple[str]]:
+    return ((load.name,) for c in project.configurations for load in c.loads)
 
 
 def _movable(project: Any) -> Iterator[tuple[str]]:
@@ -399,7 +405,30 @@ _ROWS = (
         limit=2.0,
         each=True,
         section="`loads` of a configuration",
-        subjects=lambda p: ((load.name,) for c in p.configurations for load in c.loads),
+        subjects=_named_loads,
+    ),
+    Kind(
+        "load_offset",
+        "{axis} offset of {of}",
+        "configuration.loads.offset",
+        noun="load",
+        components=_XYZ,
+        unit="N",
+        uncertain="load_offsets",
+        std=5e-3,
+        optional=True,
+        about="Offset of all dead loads of a name that have a resultant, along each "
+        "axis [N]; none unless it is stated.",
+        remedy="tare the load cell",
+        occurs=lambda m, c, _: each_of(c.loads.names, c.loads.shares.any(2)),
+        absent="no configuration has a dead load {of!r} with a resultant force",
+        words="""Make a force that adds to dead loads three parameters.
+
+        It acts where the load does, like what a load cell reads without one.""",
+        unnamed=UNNAMED_LOADS,
+        each=True,
+        section="`loads` of a configuration",
+        subjects=_named_loads,
     ),
     Kind(
         "actuator_factor",
@@ -454,16 +483,18 @@ def _std(usual: float, unit: str = "", remedy: str = "") -> Any:
     return eqx.field(default=usual, metadata={"unit": unit, "remedy": remedy})
 
 
-_WITH_STD = {kind.uncertain: kind for kind in _ROWS if not math.isnan(kind.std)}
+WITH_STD = {kind.uncertain: kind for kind in _ROWS if not math.isnan(kind.std)}
+"""The kind that has the usual standard deviation of each key of [uncertain]."""
 
 
 def _stds_of_kinds() -> Any:
     """Make a class whose fields are the standard deviations of `KINDS`."""
     types_of: dict[str, Any] = {}
     content = {"__annotations__": types_of}
-    for key, kind in _WITH_STD.items():
+    for key, kind in WITH_STD.items():
         types_of[key] = float | Literal["estimated"] if kind.is_noise else float
-        content[key] = _std(kind.std, "%" if kind.relative else kind.unit, kind.remedy)
+        std = 0.0 if kind.optional else kind.std
+        content[key] = _std(std, "%" if kind.relative else kind.unit, kind.remedy)
     return types.new_class(
         "AbstractUncertain", (Module,), {}, lambda c: c.update(content)
     )
@@ -508,7 +539,7 @@ class Uncertain(_stds_of_kinds()):
                 )
 
 
-for _key, _kind in _WITH_STD.items():
+for _key, _kind in WITH_STD.items():
     _line = fill(f"{_key}: {_kind.about}", 80, subsequent_indent="    ")
     Uncertain.__doc__ = f"{cleandoc(str(Uncertain.__doc__))}\n{indent(_line, '    ')}"
 

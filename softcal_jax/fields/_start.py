@@ -7,7 +7,7 @@ For a precision p, 0.1 by default, the asked standard error is
     angles of axes                                   p rad, 5.7 degrees
     Poisson's ratios                                 p / 2
     friction                                         p, a tenth of a pull per radian
-    all else of `KINDS`, an angle or a length        10 p times the default `Uncertain`
+    all else of `KINDS`: angles, lengths, offsets    10 p times what is usual
 
 so that an error of the setup counts as known once its standard error is as small as
 after careful work. Bounds do not enter: they are typed, not measured.
@@ -24,7 +24,7 @@ import numpy as np
 from softcal_jax._places import TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._kinds import KINDS, Uncertain
+from softcal_jax.fields._kinds import KINDS, WITH_STD
 from softcal_jax.fields._parameters import (
     AbstractEntry,
     Parameter,
@@ -275,8 +275,7 @@ def _unit(entry: AbstractEntry, q: Parameter, size: float, model: Any) -> float:
         kind = KINDS[entry.kind]
         if kind.relative:
             return size
-        usual = kind.uncertain
-        return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
+        return WITH_STD[kind.uncertain].std / PRECISION if kind.uncertain else 1.0
     known = model is not None and q.field in entry.fields
     kind = kind_of(model, q.field) if known else UNREMARKABLE
     if kind == UNREMARKABLE and q.unit == "rad":

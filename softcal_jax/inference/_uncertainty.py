@@ -281,7 +281,7 @@ def readable_error(std: float, value: float, unit: str) -> str:
         return "an unknown amount"
     if np.isinf(std) or (unit == "rad" and std > ANY_ANGLE):
         return "blind"
-    if unit in ("rad", "m") or value == 0.0:
+    if unit in ("rad", "m", "N") or value == 0.0:
         factor, shown = readable_unit([std], unit)
         return f"{factor * std:.2g} {shown}".rstrip()
     percent = 100.0 * std / abs(value)

@@ -123,17 +123,21 @@ class Problem(Module):
         z: Float[Array, " n_p"],
         delta_e: Float[Array, "n_c n_rows 3"],
         compliance: Float[Array, "n_e n_p"],
+        marginalised: Float[Array, "n_e k"] | None = None,
     ) -> Whitened:
         """Return whitened errors and their derivatives, then those of the priors.
 
         The QP of Eq. (10) minimises these rows; the compliance is W_ep. Differences of
-        neighbours, where they count, stand before the priors.
+        neighbours, where they count, stand before the priors. What is `marginalised`
+        beside the noise has columns like those of the noise.
         """
         effectors = self.configurations.effectors
         weight = jnp.ravel(jnp.asarray(effectors.inverse_std))
         columns = jnp.zeros((weight.size, 0))
         if self.noise is not None:
             columns = jnp.asarray(self.noise.columns(effectors))
+        if marginalised is not None:
+            columns = jnp.concatenate([columns, marginalised], axis=1)
         distances = self.space.from_prior(z)
         prior = jnp.diag(self.space.prior_weights())
         if self.space.likeness is not None:

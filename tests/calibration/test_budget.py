@@ -72,13 +72,14 @@ def robot(mounting=(0.0, 0.0, 0.0), shorter=0.0):
     return model
 
 
-def poses(scale=1.0, stiffness=2e6, tension=0.5, gravity=(0.0, 0.0, -9.81)):
+def poses(scale=1.0, stiffness=2e6, tension=0.5, gravity=(0.0, 0.0, -9.81), more=0.0):
     """Two recordings under the same gravity, one of them with a load."""
+    force = scale * np.array([0.0, 0.05, -0.1]) + more
     pose = Configuration(
         "pose",
         Support("x_max", "xz", (0.0, 0.0, 1e-3), stiffness=stiffness),
         gravity,
-        SurfaceForce("x_max", (0.0, 0.05 * scale, -0.1 * scale)),
+        SurfaceForce("x_max", tuple(force.tolist())),
         MARKERS,
         MARKERS.positions,
         actuation={"m": ImposedDisplacement(0.2), "c": ImposedForce(tension)},
@@ -107,6 +108,7 @@ def read_off(data, shift, which):
 E = Parameter("E", "E", 5e5, 1e5, 2e6, unit="Pa")
 STD = Uncertain()
 SAME_MESH = replace(STD, mesh=0.0)
+ALL = replace(SAME_MESH, load_offsets=2e-3)
 
 
 @cache
@@ -116,9 +118,7 @@ def data():
 
 @cache
 def fitted():
-    return calibrate(
-        robot(), E, data(), noise="stated", newton=EXACT, uncertain=SAME_MESH
-    )
+    return calibrate(robot(), E, data(), noise="stated", newton=EXACT, uncertain=ALL)
 
 
 def refitted(model=None, configurations=None, measured=None):
@@ -168,6 +168,12 @@ CHANGES = {
         configurations=poses(gravity=tilted(-STD.gravity * s, 1))
     ),
     "load_factor loads": lambda s: refitted(configurations=poses(1.0 + STD.loads * s)),
+    **{
+        f"load_offset loads {axis}": lambda s, k=k: refitted(
+            configurations=poses(more=ALL.load_offsets * s * np.eye(3)[k])
+        )
+        for k, axis in enumerate("xyz")
+    },
     "actuator_factor c": lambda s: refitted(
         configurations=poses(tension=0.5 * (1.0 + STD.actuators * s))
     ),
@@ -365,7 +371,7 @@ def plain_fit(*parameters, configurations=(), **settings):
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_zero_switches_a_cause_off(cause):
-    known = recalibrated(uncertain=replace(SAME_MESH, **{cause: 0.0}))
+    known = recalibrated(uncertain=replace(ALL, **{cause: 0.0}))
     left = {c.name for c in known.budget.causes}
     assert left == set(CAUSES) - {cause}
     # Offsets of recordings weigh the data: without them all others change.

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from optimisers import levenberg_marquardt
 from watching import only
 from wording import says
 
@@ -21,7 +22,6 @@ from softcal_jax.calibration import (
     calibrate as calibrate_with,
     evaluate,
     initial_state,
-    levenberg_marquardt,
     propose,
 )
 from softcal_jax.calibration._notes import fit_notes

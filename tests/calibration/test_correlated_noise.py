@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from optimisers import levenberg_marquardt
 from scipy.stats import chi2
 from wording import says
 
@@ -14,7 +15,6 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
     evaluate,
-    levenberg_marquardt,
 )
 from softcal_jax.configurations import (
     Configuration,

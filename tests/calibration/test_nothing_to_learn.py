@@ -12,6 +12,7 @@ from softcal_jax.fields import (
     exactly_known,
     gravity_tilt,
     load_factor,
+    load_offset,
     recording_offset,
 )
 from softcal_jax.identifiability import identify
@@ -89,6 +90,16 @@ def test_a_region_that_is_held():
 )
 def test_what_no_configuration_depends_on(model, entry, match):
     refused(model, [E, entry], pose(gravity=(0.0, 0.0, 0.0), loads=()), match)
+
+
+def test_an_offset_of_a_load_without_a_resultant_has_no_place(model):
+    """A couple that cancels up to rounding does not say which nodes share it."""
+    loads = [
+        SurfaceForce(s, (f, 0.0, 0.0)) for s, f in (("z_max", 0.3), ("z_min", -0.3))
+    ]
+    offset = load_offset(limit=0.1, prior_std=None)[2]
+    match = "'z offset of loads': no .*'loads' with a resultant"
+    refused(model, [E, offset], pose(loads=loads), match)
 
 
 def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from optimisers import levenberg_marquardt
 
-from softcal_jax.calibration import build_problem, calibrate, levenberg_marquardt
+from softcal_jax.calibration import build_problem, calibrate
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace

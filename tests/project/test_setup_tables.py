@@ -80,6 +80,11 @@ load_factor = "payload"
 prior_std = 0.02
 
 [[setup]]
+load_offset = "payload"
+limit = "20 mN"
+prior_std = "5 mN"
+
+[[setup]]
 actuator_factor = "tendon"
 limit = 1.5
 
@@ -118,6 +123,7 @@ def test_every_kind_becomes_parameters(tmp_path):
         "second tilt of gravity",
         *(f"factor of loads in {c}" for c in "abc"),
         "factor of payload",
+        *(f"{axis} offset of payload" for axis in "xyz"),
         "factor of tendon",
         *(f"offset {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
         *(f"turn {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
@@ -128,6 +134,7 @@ def test_every_kind_becomes_parameters(tmp_path):
     by_name = {q.name: q for e in entries for q in e.parameters}
     np.testing.assert_allclose(by_name["first tilt of gravity"].prior_std, np.pi / 180)
     np.testing.assert_allclose(by_name["turn z in c"].upper, 3 * np.pi / 180)
+    np.testing.assert_allclose(by_name["z offset of payload"].lower, -0.02)
     np.testing.assert_allclose(by_name["factor of tendon"].upper, 1.5)
     np.testing.assert_allclose(by_name["stiffness of x_min"].start, 1e9)
     np.testing.assert_allclose(by_name["friction of tendon"].lower, 0.1)
