@@ -22,6 +22,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._text import UNNAMED_LOADS, check_known
 from softcal_jax._typing import Bool, HostArray, is_traced
+from softcal_jax.equilibrium import with_offset
 
 Scope = tuple[Hashable | None, ...]
 """For each configuration a key, None where the error cannot occur; configurations with
@@ -65,6 +66,8 @@ class Kind(NamedTuple):
         within: The kind in whose function and table it stands, if not in its own.
         prefix: How its arguments begin there, as that of `turn_limit` does.
         section: Where a project file states what it can belong to.
+        clash: What it cannot be known with, from the arrays of configurations; a
+            sentence, or empty.
         subjects: What that is, from a project file with its keys as attributes: names,
             with nominal values if the function takes them. By default the model says.
     """
@@ -94,6 +97,7 @@ class Kind(NamedTuple):
     within: str = ""
     prefix: str = ""
     section: str = "[actuators]"
+    clash: Callable[[Any], str] = lambda _: ""
     subjects: Callable[[Any], Iterable[tuple[Any, ...]]] | None = None
 
     @property
@@ -187,6 +191,21 @@ def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
     of_obstacles = jnp.asarray(mechanism.contacts.friction)
     rough = of_obstacles.at[k - mechanism.n_actuators].set(mu)
     return eqx.tree_at(lambda m: m.mechanism.contacts.friction, model, rough)
+
+
+def _put_offset(model: Any, index: tuple[int, ...], change: Change) -> Any:
+    (k,), offset = index, model.shapes.offset
+    return with_offset(model, k, change(offset[k]))
+
+
+def _spread(arrays: Any) -> str:
+    if not np.any(arrays.is_spread):
+        return ""
+    return (
+        "elastic supports, and loads by area or length, are shared out to the nodes of "
+        "the shape as meshed, and do not follow an offset: hold the body rigidly and "
+        "take loads on nodes or at points"
+    )
 
 
 def _rough(model: Any) -> list[str]:
@@ -442,6 +461,28 @@ _ROWS = (
         each=True,
         section="`supports` of a configuration",
         subjects=_stiff_supports,
+    ),
+    Kind(
+        "shape_offset",
+        "offset of {of}",
+        "model.shapes.offset",
+        noun="shape",
+        unit="m",
+        put=_put_offset,
+        uncertain="shapes",
+        std=0.2e-3,
+        about="Offset of each of the `shapes` of a model, as of a printed wall [m]. "
+        "None where no shape is named.",
+        remedy="measure the part",
+        occurs=lambda m, c, _: dict.fromkeys(m.shapes.names, ("",) * len(c.gravity)),
+        words="""Make the offset of a shape a parameter: of a surface, a face, a hole.
+
+        The shape is one of those of `build_model`, from which nodes move in
+        proportion. Loads by area or length and elastic supports do not follow, and are
+        refused.""",
+        section="[shapes]",
+        clash=_spread,
+        subjects=lambda p: ((name,) for name in p.shapes),
     ),
 )
 

@@ -32,7 +32,13 @@ from softcal_jax.project._design import CandidateTable, ConfigurationTable, Desi
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
+from softcal_jax.project._robot import (
+    AnyActuator,
+    BodyTable,
+    GroupTable,
+    MeshTable,
+    ShapeTable,
+)
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
     AnySetup,
@@ -111,6 +117,7 @@ class ProjectTable(Table):
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
+    shapes: dict[str, ShapeTable] = Field(default_factory=dict)
     material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)
