@@ -137,6 +137,7 @@ MEANT = {
     "sensor": "Name of the sensor, where the file has several.",
     "settings": "Settings of the calibration.",
     "setup": "Errors of the setup that are calibrated beside the material.",
+    "shapes": "Ways in which the shape of the body may be off, by name.",
     "shared": "Keys that all configurations have.",
     "solid_modulus": "Young's modulus of the solid of the published foam.",
     "state": "How the body is held.",
