@@ -201,7 +201,7 @@ def sections() -> Iterator[Section]:
         for table in get_args(field.annotation):
             if isinstance(table, type) and issubclass(table, Table):
                 yield Section(f"{key} in [groups.NAME]", table)
-    yield Section("[shapes.NAME]", _robot.ShapeTable, (mesh.surface_motion,))
+    yield Section("[shapes.NAME]", _setup.ShapeTable, (mesh.surface_motion,))
     yield Section("[material]", Material, (build_model,))
     yield from _laws()
     for name, table in _robot.DIRECTIONS.items():

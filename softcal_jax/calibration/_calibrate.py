@@ -10,6 +10,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._process import check_process, progress_line
 from softcal_jax._text import check_known, listed
 from softcal_jax._typing import Array, Float
@@ -335,7 +336,7 @@ def _problem(
                 "`markers` and `measured`, or `effectors` with measured values."
             )
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    check_parameters(model, space, lanes.arrays)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
     lanes, repeats = (lanes, {}) if goals else read_once(configurations, lanes)
     about = {"poses": configurations, "newton": newton, "uncertain": uncertain}

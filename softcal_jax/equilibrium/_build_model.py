@@ -188,36 +188,34 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
             "SofaCorotational holds matrices of the edges of its mesh, which do not "
             "follow: build the model anew, with SofaCorotational.of_mesh."
         )
-    mesh, mechanism, dN, w, node_volumes = _following(model, jnp.asarray(points, float))
-    w = refuse_if(w, jnp.any(w <= 0.0), "the new points turn a tet inside out.")
-    return _placed(model, mesh, mechanism, dN, w, node_volumes)
+    new = _placed(model, jnp.asarray(points, float))
+    inverted = jnp.any(new.weights <= 0.0)
+    why = "the new points turn a tet inside out."
+    return replace(new, weights=refuse_if(new.weights, inverted, why))
 
 
 def with_offset(model: Model, shape: int, offset: Float[Array, ""]) -> Model:
     """Return the model with one of its shapes off by so much [m], see `with_points`.
 
-    Where a tet is inside out, weights are nan, so that there is no equilibrium.
-
-    Raises:
-        ValueError: If a tet is, and nothing is traced.
+    Where a tet is inside out, weights are nan, so that there is no equilibrium; if
+    nothing is traced, that is a ValueError.
     """
     step = offset - model.shapes.offset[shape]
     points = jnp.asarray(model.mesh.points) + step * model.shapes.motion[shape]
-    mesh, mechanism, dN, w, node_volumes = _following(model, points)
-    inverted = jnp.any(w <= 0.0)
+    new = _placed(model, points)
+    inverted = jnp.any(new.weights <= 0.0)
     if not is_traced(inverted) and inverted:
         raise ValueError(
             f"an offset of {model.shapes.names[shape]!r} by {float(offset):g} m turns "
             "a tet inside out: allow less, or mesh it with longer tets there."
         )
-    w = jnp.where(inverted, jnp.nan, w)
-    new = _placed(model, mesh, mechanism, dN, w, node_volumes)
+    w = jnp.where(inverted, jnp.nan, new.weights)
     offsets = model.shapes.offset.at[shape].set(offset)
-    return eqx.tree_at(lambda m: m.shapes.offset, new, offsets)
+    return eqx.tree_at(lambda m: (m.weights, m.shapes.offset), new, (w, offsets))
 
 
-def _placed(model: Model, mesh, mechanism, dN, w, node_volumes) -> Model:
-    """Return the model with what `_following` computed, on the host if it can be."""
+def _placed(model: Model, points: Array) -> Model:
+    mesh, mechanism, dN, w, node_volumes = _following(model, points)
     new = replace(
         model,
         mesh=mesh,
@@ -294,18 +292,17 @@ def _prepared(
 
 
 def _checked_shapes(shapes: Mapping[str, Any], mesh: TetMesh) -> Shapes:
-    motions = np.zeros((len(shapes), *mesh.points.shape))
-    for k, (name, motion) in enumerate(shapes.items()):
-        if np.shape(motion) != mesh.points.shape or not np.isfinite(motion).all():
+    of_mesh, n = mesh.points.shape, len(shapes)
+    for name, motion in shapes.items():
+        fits = np.shape(motion) == of_mesh and np.isfinite(motion).all()
+        if not (fits and np.any(motion)):
             raise ValueError(
-                f"shape {name!r} must be a finite motion of each node of the mesh, "
-                f"{mesh.points.shape}; got shape {np.shape(motion)}."
+                f"shape {name!r} must be a finite motion, not zero, with the shape "
+                f"{of_mesh} of the nodes of the mesh; got {np.shape(motion)}."
             )
-        motions[k] = motion
-        if not motions[k].any():
-            raise ValueError(f"shape {name!r} moves no node: leave it out.")
-    offsets = jax.device_put(np.zeros(len(shapes)))
-    return Shapes(jax.device_put(motions), offsets, tuple(shapes))
+    motions = np.reshape([*shapes.values()], (n, *of_mesh)).astype(float)
+    of_arrays = jax.device_put((motions, np.zeros(n)))
+    return Shapes(of_arrays[0], of_arrays[1], names=tuple(shapes))
 
 
 def _check_scale(scale: float | None) -> None:

@@ -66,8 +66,6 @@ class Kind(NamedTuple):
         within: The kind in whose function and table it stands, if not in its own.
         prefix: How its arguments begin there, as that of `turn_limit` does.
         section: Where a project file states what it can belong to.
-        clash: What it cannot be known with, from the arrays of configurations; a
-            sentence, or empty.
         subjects: What that is, from a project file with its keys as attributes: names,
             with nominal values if the function takes them. By default the model says.
     """
@@ -97,7 +95,6 @@ class Kind(NamedTuple):
     within: str = ""
     prefix: str = ""
     section: str = "[actuators]"
-    clash: Callable[[Any], str] = lambda _: ""
     subjects: Callable[[Any], Iterable[tuple[Any, ...]]] | None = None
 
     @property
@@ -193,19 +190,15 @@ def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
     return eqx.tree_at(lambda m: m.mechanism.contacts.friction, model, rough)
 
 
-def _put_offset(model: Any, index: tuple[int, ...], change: Change) -> Any:
-    (k,), offset = index, model.shapes.offset
-    return with_offset(model, k, change(offset[k]))
-
-
-def _spread(arrays: Any) -> str:
-    if not np.any(arrays.is_spread):
-        return ""
-    return (
-        "elastic supports, and loads by area or length, are shared out to the nodes of "
-        "the shape as meshed, and do not follow an offset: hold the body rigidly and "
-        "take loads on nodes or at points"
-    )
+def _shapes(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
+    names = model.shapes.names
+    if names and np.any(arrays.is_spread):
+        raise ValueError(
+            f"the model has shapes ({', '.join(names)}), and elastic supports, and "
+            "loads by area or length, do not follow them: hold the body rigidly, load "
+            "it at points, or leave `shapes` out."
+        )
+    return dict.fromkeys(names, ("",) * len(arrays.gravity))
 
 
 def _rough(model: Any) -> list[str]:
@@ -468,20 +461,18 @@ _ROWS = (
         "model.shapes.offset",
         noun="shape",
         unit="m",
-        put=_put_offset,
+        put=lambda m, at, new: with_offset(m, at[0], new(m.shapes.offset[at[0]])),
         uncertain="shapes",
         std=0.2e-3,
         about="Offset of each of the `shapes` of a model, as of a printed wall [m]. "
         "None where no shape is named.",
         remedy="measure the part",
-        occurs=lambda m, c, _: dict.fromkeys(m.shapes.names, ("",) * len(c.gravity)),
+        occurs=_shapes,
         words="""Make the offset of a shape a parameter: of a surface, a face, a hole.
 
-        The shape is one of those of `build_model`, from which nodes move in
-        proportion. Loads by area or length and elastic supports do not follow, and are
-        refused.""",
+        It is one of the `shapes` of `build_model`. Loads by area or length and elastic
+        supports do not follow, and are refused.""",
         section="[shapes]",
-        clash=_spread,
         subjects=lambda p: ((name,) for name in p.shapes),
     ),
 )

@@ -21,7 +21,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of
 from softcal_jax._places import TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._typing import Array, Float, HostArray
@@ -47,29 +46,23 @@ _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)
 
 
 def check_parameters(
-    model: Any, space: ParameterSpace, configurations: Any = None
+    model: Any, space: ParameterSpace, configuration: Any = None
 ) -> None:
     """Raise unless every parameter sets something of its own, within sound bounds.
 
-    The model is on the host; what is set in a configuration is checked if the arrays of
-    several are given.
+    The model is on the host; what is set in a configuration is checked if one is given.
 
     Raises:
         ValueError: If a field or region does not exist, two parameters set the same
             tets, a parameter without region would flatten constants that differ over
             the body, a control point lies far from what it acts on or acts on no tet,
-            the start breaks the order, a configuration has what a parameter clashes
-            with, or a bound is outside the range of the material.
+            the start breaks the order, or a bound is outside the range of the material.
     """
     for entry in space.entries:
         entry.check(model)
-        kind = KINDS[entry.kind] if isinstance(entry, SetupParameter) else None
-        if configurations is not None and kind and (why := kind.clash(configurations)):
-            raise ValueError(f"parameter {entry.label!r}: {why}.")
     _check_overlaps(model, space)
     _check_twice(space)
-    first = None if configurations is None else lane_of(configurations, 0)
-    _check_effects(model, space, first)
+    _check_effects(model, space, configuration)
     _check_order(space)
     for side in ("lower", "upper"):
         bounds = {q.name: getattr(q, side) for q in space.parameters}

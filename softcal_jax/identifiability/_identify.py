@@ -250,7 +250,7 @@ def planned(
         weights = lambda arrays: arrays.effectors.inverse_std
         weighed = eqx.tree_at(weights, lanes.arrays, jax.device_put(weight))
         lanes = lanes._replace(arrays=weighed)
-    check_parameters(model, space, lanes.arrays)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
     newton = newton or NewtonSettings()
     about = {"poses": configurations, "uncertain": uncertain, "newton": newton}
     return Problem(model, space, lanes, **about)

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import cg
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.elements import TET_EDGES, shape_gradients
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.elements import TET_EDGES
 from softcal_jax.mesh._surfaces import SHARP
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import (
@@ -82,11 +82,7 @@ def straightened(
 
 def _across(
     n_nodes: int, faces: Int[HostArray, "n 3"], normals: Float[HostArray, "n 3"]
-) -> tuple[
-    Float[HostArray, "n_nodes 3 3"],
-    Float[HostArray, "n_nodes 3"],
-    Bool[HostArray, "n_nodes 3"],
-]:
+) -> tuple[HostArray, HostArray, HostArray]:
     """Return axes at each node, the motion by which its faces move by 1, and its axes.
 
     Columns are the axes; those along which the faces do not turn are not across them.
@@ -105,10 +101,9 @@ def _laplacian(mesh: TetMesh) -> coo_array:
     """Assemble the integrals of grad N_a . grad N_b over the tets [m]."""
     corners = mesh.tets[:, :4]
     X = mesh.points[corners]
-    reference = shape_gradients(np.full((1, 4), 0.25), 4)[0]
-    jacobian = np.einsum("tai,aj->tij", X, reference)
-    dN = np.einsum("aj,tji->tai", reference, np.linalg.inv(jacobian))
-    of_tets = np.einsum("t,tai,tbi->tab", corner_volumes(X), dN, dN)
+    # Inverse of the values of 1, x, y and z at the corners: dN/dx below the first row.
+    dN = np.linalg.inv(np.insert(X, 0, 1.0, axis=2))[:, 1:]
+    of_tets = np.einsum("t,tia,tib->tab", corner_volumes(X), dN, dN)
     at = np.broadcast_to(corners[:, :, None], of_tets.shape)
     ends = at.ravel(), at.swapaxes(1, 2).ravel()
     return coo_array((of_tets.ravel(), ends), (mesh.n_nodes, mesh.n_nodes))

@@ -32,19 +32,14 @@ from softcal_jax.project._design import CandidateTable, ConfigurationTable, Desi
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._robot import (
-    AnyActuator,
-    BodyTable,
-    GroupTable,
-    MeshTable,
-    ShapeTable,
-)
+from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
     AnySetup,
     ControlPointsTable,
     ParameterSpaceTable,
     ParameterTable,
+    ShapeTable,
     UncertainTable,
 )
 from softcal_jax.project._table import (

@@ -198,16 +198,6 @@ class GroupTable(create_model("Group", __base__=Table, **_REGIONS)):
         return mesh.with_tet_group(name, tets)
 
 
-class ShapeTable(Table):
-    """A way in which the shape of the body may be off, see `surface_motion`."""
-
-    surface: str = Field(description='a surface group that is offset: "z_max"')
-    direction: typed.Direction | None = None
-
-    def build(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        return meshes.surface_motion(mesh, **self.model_dump())
-
-
 TetData = Callable[[str], Float[HostArray, "n_tets _"]]
 """Returns an array of the mesh file by its name."""
 

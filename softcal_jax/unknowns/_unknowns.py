@@ -129,10 +129,7 @@ def _of_setup(problem: Problem) -> Iterator[Unknown]:
                 label = " ".join(word for word in (name, of, axis) if word)
                 entry = SetupError(label, std, name, of, axis)
                 where = _where(scope, _not_fitted(problem, entry) & (std > 0.0))
-                unknown = Unknown(cause, label, entry, std, role, where)
-                if unknown.happens and (why := kind.clash(on_host)):
-                    raise ValueError(f"uncertain {cause}: {why}, or set it to 0.")
-                yield unknown
+                yield Unknown(cause, label, entry, std, role, where)
 
 
 def _not_fitted(problem: Problem, error: SetupError) -> Bool[HostArray, " n_c"]:

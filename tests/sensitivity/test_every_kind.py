@@ -296,7 +296,7 @@ class Forgotten(AbstractEntry):
 def test_a_forgotten_kind_fails_loudly(lie, message):
     entry = Forgotten(Parameter("mine", "", 0.1, 0.0, 1.0, scale="linear"), lie)
     with pytest.raises(ValueError, match=message):
-        check_parameters(MODEL, ParameterSpace((entry,)), LANES)
+        check_parameters(MODEL, ParameterSpace((entry,)), LANE)
 
 
 @pytest.mark.parametrize(
@@ -309,7 +309,7 @@ def test_a_forgotten_kind_fails_loudly(lie, message):
 )
 def test_what_no_configuration_has_is_refused(entry, message):
     with pytest.raises(ValueError, match=message):
-        check_parameters(MODEL, ParameterSpace((entry,)), LANES)
+        check_parameters(MODEL, ParameterSpace((entry,)), LANE)
 
 
 def test_friction_of_one_cable_among_others_of_other_sizes():
@@ -387,4 +387,4 @@ def test_one_quantity_is_not_set_twice():
         load_factor(**KNOWN),
     )
     with pytest.raises(ValueError, match=r"'factor of loads'.* load factor.*`each`"):
-        check_parameters(MODEL, ParameterSpace(twice), LANES)
+        check_parameters(MODEL, ParameterSpace(twice), LANE)

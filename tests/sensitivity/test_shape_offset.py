@@ -189,10 +189,15 @@ ELASTIC = {"supports": Support("x_min", stiffness=1e9)}
 @pytest.mark.parametrize("more", [SPREAD, ELASTIC])
 def test_what_is_shared_out_by_area_is_refused(more):
     bent = replace(pose("bent"), **more)
-    with pytest.raises(ValueError, match=r"'offset of wall': .*do not follow"):
+    with pytest.raises(ValueError, match=r"\(wall, slanted\), .*do not follow"):
         identify(MODEL, WALL, [bent])
-    with pytest.raises(ValueError, match=r"uncertain shapes: .*set it to 0"):
-        identify(MODEL, modulus_and_wall().entries[0], [bent])
+    measured = replace(bent, measured=MARKERS.positions)
+    with pytest.raises(ValueError, match=r"\(wall, slanted\), .*do not follow"):
+        calibrate(MODEL, modulus_and_wall().entries[0], measured)
+    at = ParameterSpace([WALL]), jnp.zeros(1)
+    rest = jnp.zeros((MODEL.n_points, 3))
+    with pytest.raises(RuntimeError, match=r"do not follow points that are traced"):
+        parameter_compliance(MODEL, bent, rest, *at)
 
 
 def test_bad_offsets():
@@ -203,7 +208,10 @@ def test_bad_offsets():
         check_parameters(MODEL, one("wall", 5e-3))
     bare = plate().mesh
     law = Corotational(Isotropic(E, NU))
-    for motion, message in ((np.zeros((2, 3)), r"\(2, 3\)"), (0.0 * bare.points, "no")):
+    for motion, message in (
+        (np.zeros((2, 3)), r"\(2, 3\)"),
+        (0.0 * bare.points, "not zero"),
+    ):
         with pytest.raises(ValueError, match=f"shape 'wall' .*{message}"):
             build_model(bare, law, density=1.0, shapes={"wall": motion}, solver="none")
 
