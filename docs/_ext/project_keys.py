@@ -137,6 +137,7 @@ MEANT = {
     "sensor": "Name of the sensor, where the file has several.",
     "settings": "Settings of the calibration.",
     "setup": "Errors of the setup that are calibrated beside the material.",
+    "shapes": "Ways in which the shape of the body may be off, by name.",
     "shared": "Keys that all configurations have.",
     "solid_modulus": "Young's modulus of the solid of the published foam.",
     "state": "How the body is held.",
@@ -200,6 +201,7 @@ def sections() -> Iterator[Section]:
         for table in get_args(field.annotation):
             if isinstance(table, type) and issubclass(table, Table):
                 yield Section(f"{key} in [groups.NAME]", table)
+    yield Section("[shapes.NAME]", _setup.ShapeTable, (mesh.surface_motion,))
     yield Section("[material]", Material, (build_model,))
     yield from _laws()
     for name, table in _robot.DIRECTIONS.items():

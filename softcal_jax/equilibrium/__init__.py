@@ -24,6 +24,7 @@ from softcal_jax.equilibrium._batch import (
 from softcal_jax.equilibrium._build_model import (
     build_model as build_model,
     model_for_law as model_for_law,
+    with_offset as with_offset,
     with_points as with_points,
 )
 from softcal_jax.equilibrium._continuation import (

@@ -1,7 +1,7 @@
 """Building a model: shape gradients, sparsity, symbolic analysis."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
@@ -21,7 +21,13 @@ from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._assembly import shear_moduli
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
-from softcal_jax.equilibrium._model import Model, check_fields, check_law, to_blocks
+from softcal_jax.equilibrium._model import (
+    Model,
+    Shapes,
+    check_fields,
+    check_law,
+    to_blocks,
+)
 from softcal_jax.equilibrium._solver_choice import NoSolver, solver_kind
 from softcal_jax.equilibrium._sparsity import (
     build_reduction,
@@ -56,6 +62,7 @@ def build_model(
     formulation: Literal["auto"] | Formulation = "auto",
     solver: str | None = None,
     contact_scale: float | None = None,
+    shapes: Mapping[str, Float[ArrayLike, "n_nodes 3"]] | None = None,
 ) -> Model:
     """Prepare a model for equilibrium: shape gradients, sparsity, symbolic analysis.
 
@@ -84,14 +91,17 @@ def build_model(
         contact_scale: Thickness of the cushion between the body and obstacles, see
             `softcal_jax.contact`; the error of contact is in proportion to it. By
             default a two-hundredth of the mean size of the surface's faces [m].
+        shapes: Ways in which the shape may be off, by name: motions of all nodes per
+            metre of an offset, as of `surface_motion` [-]. See `fields.shape_offset`.
 
     Warns:
         MeshWarning: If the mesh is so large that its coordinates may be in mm.
 
     Raises:
         ValueError: If JAX is not in float64, mesh or density are not sound, a per-tet
-            array has the wrong length, a body or an actuator does not fit the mesh, or
-            formulation or solver are unknown or do not suit the law or the machine.
+            array has the wrong length, a body, an actuator or a shape does not fit the
+            mesh, or formulation or solver are unknown or do not suit the law or the
+            machine.
         ImportError: If the package of the solver is not installed.
         RuntimeError: If this process was forked from one that had computed.
     """
@@ -120,6 +130,7 @@ def build_model(
         mechanism=mechanism,
         formulation=_formulation(formulation, law, mesh.order),
         solver=kind,
+        shapes=_checked_shapes(shapes or {}, mesh),
     )
 
 
@@ -141,6 +152,7 @@ def model_for_law(model: Model, law: AbstractLaw) -> Model:
         mechanism=model.mechanism,
         formulation=model.formulation if law.conservative else "displacement",
         solver=type(model.solver),
+        shapes=model.shapes,
     )
 
 
@@ -176,8 +188,34 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
             "SofaCorotational holds matrices of the edges of its mesh, which do not "
             "follow: build the model anew, with SofaCorotational.of_mesh."
         )
-    mesh, mechanism, dN, w, node_volumes = _following(model, jnp.asarray(points, float))
-    w = refuse_if(w, jnp.any(w <= 0.0), "the new points turn a tet inside out.")
+    new = _placed(model, jnp.asarray(points, float))
+    inverted = jnp.any(new.weights <= 0.0)
+    why = "the new points turn a tet inside out."
+    return replace(new, weights=refuse_if(new.weights, inverted, why))
+
+
+def with_offset(model: Model, shape: int, offset: Float[Array, ""]) -> Model:
+    """Return the model with one of its shapes off by so much [m], see `with_points`.
+
+    Where a tet is inside out, weights are nan, so that there is no equilibrium; if
+    nothing is traced, that is a ValueError.
+    """
+    step = offset - model.shapes.offset[shape]
+    points = jnp.asarray(model.mesh.points) + step * model.shapes.motion[shape]
+    new = _placed(model, points)
+    inverted = jnp.any(new.weights <= 0.0)
+    if not is_traced(inverted) and inverted:
+        raise ValueError(
+            f"an offset of {model.shapes.names[shape]!r} by {float(offset):g} m turns "
+            "a tet inside out: allow less, or mesh it with longer tets there."
+        )
+    w = jnp.where(inverted, jnp.nan, new.weights)
+    offsets = model.shapes.offset.at[shape].set(offset)
+    return eqx.tree_at(lambda m: (m.weights, m.shapes.offset), new, (w, offsets))
+
+
+def _placed(model: Model, points: Array) -> Model:
+    mesh, mechanism, dN, w, node_volumes = _following(model, points)
     new = replace(
         model,
         mesh=mesh,
@@ -210,6 +248,7 @@ def _prepared(
     mechanism: Mechanism,
     formulation: Formulation,
     solver: type[AbstractLinearSolver],
+    shapes: Shapes,
 ) -> Model:
     n_tets = mesh.n_tets
     check_law(law, law.conservative, formulation)
@@ -243,12 +282,27 @@ def _prepared(
         contact_at=tuple(destinations(pattern, nodes) for nodes in touching),
         reduction=reduction,
         solver=solver.analyse(unknowns),
+        shapes=shapes,
         formulation=formulation,
     )
     if not touching:
         return model
     E = 3.0 * jnp.mean(shear_moduli(model))  # of a body that keeps its volume
     return eqx.tree_at(lambda m: m.mechanism.contacts.stiffness, model, E)
+
+
+def _checked_shapes(shapes: Mapping[str, Any], mesh: TetMesh) -> Shapes:
+    of_mesh, n = mesh.points.shape, len(shapes)
+    for name, motion in shapes.items():
+        fits = np.shape(motion) == of_mesh and np.isfinite(motion).all()
+        if not (fits and np.any(motion)):
+            raise ValueError(
+                f"shape {name!r} must be a finite motion, not zero, with the shape "
+                f"{of_mesh} of the nodes of the mesh; got {np.shape(motion)}."
+            )
+    motions = np.reshape([*shapes.values()], (n, *of_mesh)).astype(float)
+    of_arrays = jax.device_put((motions, np.zeros(n)))
+    return Shapes(of_arrays[0], of_arrays[1], names=tuple(shapes))
 
 
 def _check_scale(scale: float | None) -> None:

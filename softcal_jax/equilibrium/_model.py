@@ -37,6 +37,19 @@ Nodal = Float[Array, "n_points 3"]
 """One vector per node, those of the rigid bodies' frames included."""
 
 
+class Shapes(Module):
+    """Named ways in which the shape of a body may be off, or can be designed.
+
+    Attributes:
+        motion: Motion of the nodes of the mesh per metre of each offset [-].
+        offset: How far each is off the shape of which the model was built [m].
+    """
+
+    motion: Float[Array, "n_shapes n_nodes 3"]
+    offset: Float[Array, " n_shapes"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
 class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
@@ -51,6 +64,7 @@ class Model(Module):
         curvature_at: Positions in the pattern of the actuators' tangents.
         contact_at: Positions in the pattern of the tangents of contact.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
+        shapes: Its shapes by name, see `build_model`.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
         moved: Whether its points are traced ones, see `with_points`.
     """
@@ -70,6 +84,7 @@ class Model(Module):
     contact_at: tuple[Int[HostArray, "_ _"], ...]
     reduction: Reduction | None
     solver: AbstractLinearSolver
+    shapes: Shapes
     formulation: Formulation = eqx.field(static=True)
     moved: bool = eqx.field(static=True, default=False)
 

@@ -42,7 +42,7 @@ _UNMOVED = 1e-12
 
 _SPREAD = (
     "elastic supports, and loads by area or length, are shared out to the nodes where "
-    "lanes are made, and do not follow the points of with_points: take NodalForces, or "
+    "lanes are made, and do not follow points that are traced: take NodalForces, or "
     "points that are not traced, and make the lanes of the model that has them."
 )
 

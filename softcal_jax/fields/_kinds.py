@@ -22,6 +22,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._text import UNNAMED_LOADS, check_known
 from softcal_jax._typing import Bool, HostArray, is_traced
+from softcal_jax.equilibrium import with_offset
 
 Scope = tuple[Hashable | None, ...]
 """For each configuration a key, None where the error cannot occur; configurations with
@@ -189,6 +190,17 @@ def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
     of_obstacles = jnp.asarray(mechanism.contacts.friction)
     rough = of_obstacles.at[k - mechanism.n_actuators].set(mu)
     return eqx.tree_at(lambda m: m.mechanism.contacts.friction, model, rough)
+
+
+def _shapes(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
+    names = model.shapes.names
+    if names and np.any(arrays.is_spread):
+        raise ValueError(
+            f"the model has shapes ({', '.join(names)}), and elastic supports, and "
+            "loads by area or length, do not follow them: hold the body rigidly, load "
+            "it at points, or leave `shapes` out."
+        )
+    return dict.fromkeys(names, ("",) * len(arrays.gravity))
 
 
 def _rough(model: Any) -> list[str]:
@@ -471,6 +483,26 @@ _ROWS = (
         each=True,
         section="`supports` of a configuration",
         subjects=_stiff_supports,
+    ),
+    Kind(
+        "shape_offset",
+        "offset of {of}",
+        "model.shapes.offset",
+        noun="shape",
+        unit="m",
+        put=lambda m, at, new: with_offset(m, at[0], new(m.shapes.offset[at[0]])),
+        uncertain="shapes",
+        std=0.2e-3,
+        about="Offset of each of the `shapes` of a model, as of a printed wall [m]. "
+        "None where no shape is named.",
+        remedy="measure the part",
+        occurs=_shapes,
+        words="""Make the offset of a shape a parameter: of a surface, a face, a hole.
+
+        It is one of the `shapes` of `build_model`. Loads by area or length and elastic
+        supports do not follow, and are refused.""",
+        section="[shapes]",
+        subjects=lambda p: ((name,) for name in p.shapes),
     ),
 )
 

@@ -348,7 +348,8 @@ class ParameterSpace(Module):
         self, model: Any, configuration: Any, values: Values
     ) -> tuple[Any, Any]:
         """Set the values of all parameters, as `apply` does."""
-        for entry in self.entries:
+        # Fields come last: weights of control points are those of the shape.
+        for entry in sorted(self.entries, key=lambda entry: bool(entry.fields)):
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
             model = faded(model, values, axis)

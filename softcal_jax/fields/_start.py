@@ -66,8 +66,8 @@ def check_parameters(
     _check_order(space)
     for side in ("lower", "upper"):
         bounds = {q.name: getattr(q, side) for q in space.parameters}
-        applied, _ = space.with_values(model, None, bounds)
         try:
+            applied, _ = space.with_values(model, None, bounds)
             _check_constants(applied.law)
             if not np.all(np.asarray(applied.density) >= 0.0):
                 raise ValueError("density must not be negative [kg/m3].")

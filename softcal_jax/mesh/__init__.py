@@ -14,6 +14,10 @@ from softcal_jax.mesh._location import (
     MaterialPoints as MaterialPoints,
     locate as locate,
 )
+from softcal_jax.mesh._motion import (
+    straightened as straightened,
+    surface_motion as surface_motion,
+)
 from softcal_jax.mesh._reading import (
     MeshWarning as MeshWarning,
     mesh_files as mesh_files,

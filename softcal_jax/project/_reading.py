@@ -39,6 +39,7 @@ from softcal_jax.project._setup import (
     ControlPointsTable,
     ParameterSpaceTable,
     ParameterTable,
+    ShapeTable,
     UncertainTable,
 )
 from softcal_jax.project._table import (
@@ -111,6 +112,7 @@ class ProjectTable(Table):
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
+    shapes: dict[str, ShapeTable] = Field(default_factory=dict)
     material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)

@@ -248,6 +248,13 @@ class UncertainTable(
     """Its keys are the fields of `Uncertain`, whose docstring explains them."""
 
 
+class ShapeTable(Table):
+    """A way in which the shape of the body may be off, see `surface_motion`."""
+
+    surface: str = Field(description='a surface group that is offset: "z_max"')
+    direction: typed.Direction | None = None
+
+
 class SetupTable(Table):
     """An error of the setup that is known up to a limit: a kind of `fields.KINDS`.
 

@@ -55,7 +55,8 @@ def parameter_compliance(
 
 @eqx.filter_jit
 def _parameter_compliance(model, configuration, u, space: ParameterSpace, z, method):
-    lin = linearise(*space.apply(model, configuration, z), u)
+    changed, lane = space.apply(model, configuration, z)
+    lin = linearise(changed, one_lane(changed, lane), u)
     rows = parameter_rows(lin, space, z)
     fewer = z.shape[0] > configuration.effectors.measured.size
     adjoint = method == "adjoint" or (method == "auto" and fewer)

@@ -18,7 +18,6 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     InputRows,
@@ -44,7 +43,7 @@ from softcal_jax.fields import (
     region_tets,
 )
 from softcal_jax.inference import ErrorColumns
-from softcal_jax.mesh import TetMesh, boundary_faces
+from softcal_jax.mesh import TetMesh, boundary_faces, straightened
 from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
 from softcal_jax.unknowns._noise import (
     CorrelatedNoise,
@@ -234,10 +233,7 @@ def outward_motion(
     np.add.at(motion, corners, np.cross(b - a, c - a)[:, None])
     size = np.linalg.norm(motion, axis=1, keepdims=True)
     motion = np.divide(motion, size, out=motion, where=size > 0.0)
-    if mesh.order == 2:
-        ends = mesh.tets[:, np.array(TET_EDGES)]
-        motion[mesh.tets[:, 4:]] = motion[ends].mean(axis=2)
-    return motion
+    return straightened(mesh, motion)
 
 
 def correlated_noise(problem: Problem) -> CorrelatedNoise:

@@ -21,6 +21,7 @@ from softcal_jax.fields import (
     motor_zero,
     mounting,
     recording_offset,
+    shape_offset,
 )
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import independent
@@ -94,6 +95,7 @@ def test_a_stated_prior_counts_like_a_measurement():
         (mounting("b", (0.1, 0.0, 0.0), limit=0.1, prior_std=None)[0], 0.5e-3),
         (marker_offset("tip", limit=0.1, prior_std=None)[0], 0.5e-3),
         (friction("c", 0.2, limit=0.1, prior_std=None), 0.1),
+        (shape_offset("wall", limit=0.1, prior_std=None), 0.2e-3),
         (load_factor(prior_std=None), 0.1),
         (load_offset(limit=0.1, prior_std=None)[0], 5e-3),
         (clamp_stiffness("x_min", 1e6, prior_std=None), 1e5),

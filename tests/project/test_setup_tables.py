@@ -175,3 +175,44 @@ def test_a_cable_is_asked_for_in_known_words(tmp_path):
     wrong = BEAM.replace("releasing = true", "relasing = true")
     with pytest.raises(ProjectError, match=r"tendon: .*relasing.*\{ value "):
         load(tmp_path, wrong)
+
+
+SHAPES = """
+[shapes.wall]
+surface = "z_max"
+
+[shapes.side]
+surface = "y_max"
+direction = "x"
+
+[[setup]]
+shape_offset = ["wall", "side"]
+limit = "2 mm"
+prior_std = "0.2 mm"
+
+[uncertain]
+shapes = "0.3 mm"
+"""
+
+
+def test_offsets_of_shapes(tmp_path):
+    project = load(tmp_path, BEAM + SHAPES)
+    *_, wall, side = project.parameters
+    assert (wall.name, side.name) == ("offset of wall", "offset of side")
+    assert float(wall.upper) == 2e-3
+    assert project.uncertain.shapes == 3e-4
+    motion = project.model.shapes.motion
+    top = project.model.mesh.nodes("z_max")
+    np.testing.assert_allclose(motion[0, top], np.tile([0.0, 0.0, 1.0], (8, 1)))
+    sides = project.model.mesh.nodes("y_max")
+    np.testing.assert_allclose(motion[1, sides], np.tile([1.0, 0.0, 0.0], (8, 1)))
+    for wrong, message in (
+        (
+            SHAPES.replace('"z_max"', '"top"'),
+            "shapes.wall: unknown surface group 'top'",
+        ),
+        (SHAPES.replace('["wall", "side"]', '"lid"'), "no shape .lid.*side"),
+        (SHAPES.replace('"2 mm"', '"30 mm"'), "bound: .*'wall' by -0.03 m.*inside out"),
+    ):
+        with pytest.raises(ProjectError, match=message):
+            load(tmp_path, BEAM + wrong)

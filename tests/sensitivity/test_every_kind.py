@@ -172,7 +172,8 @@ def compliance():
 
 def test_all_kinds_are_here():
     kinds = {e.kind for e in SPACE.entries if isinstance(e, SetupParameter)}
-    assert kinds == set(KINDS)
+    # A shape is refused beside loads by area, and stands in test_shape_offset.
+    assert kinds | {"shape_offset"} == set(KINDS)
 
 
 def test_sensitivities_meet_differences_at_second_order():
