@@ -338,7 +338,7 @@ def compare_projects(
 
     Args:
         projects: Projects of the same configurations and measurements, in any order.
-        progress: Called with the name of each project before it is fitted.
+        progress: Called with the project, fit and step that are under way.
 
     Raises:
         ProjectError: If there are fewer than two projects, or one has nothing to
