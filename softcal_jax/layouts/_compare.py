@@ -128,7 +128,7 @@ class _Fits(NamedTuple):
             run, optima = self._from_starts(whole, "all configurations")
             fit = _Fit(np.ones(n_c, bool), run, whole.from_rest(jnp.asarray(run.z)))
             known = [] if fit.failure else [jnp.asarray(end.z) for end in optima]
-            return fit, [whole.from_rest(z) for z in known]
+            return fit, [end for end in map(whole.from_rest, known) if end.ok]
 
     def of_folds(self, optima: Sequence[Evaluation], share: float) -> list[_Fit]:
         """Fit all configurations but each one, side by side: from `optima` of all."""
@@ -152,18 +152,18 @@ class _Fits(NamedTuple):
         """Fit from all starts; return the best end, and the optima."""
         images, ended = images_of(self.problem.space, mirror=True), list[Begun]()
         for i, z in enumerate(self.starts):
-            where = f"{what}, start {i + 1} of {len(self.starts)}"
-            step = lambda _, state, where=where: self._note(where, state)
+            note = partial(self._note, f"{what}, start {i + 1} of {len(self.starts)}")
             more: Any = {"images": images, "known": known_optima(ended, images)}
-            run = run_start(evaluate, self.settings, z, note_step=step, **more)
+            run = run_start(evaluate, self.settings, z, note_step=note, **more)
             ended.append(run)
         runs = [begun.best for begun in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
         return run, known_optima(ended, images)
 
-    def _note(self, what: str, state: CalibrationState | None) -> None:
-        self.tell(f"{what}, step {0 if state is None else int(state.step)}")
+    def _note(self, what: str, *at: Any) -> None:
+        """Tell the step of the state that comes last, if there is one yet."""
+        self.tell(f"{what}, step {int(at[-1].step) if at[-1] is not None else 0}")
 
     def _from_optima(
         self,
@@ -208,7 +208,7 @@ class _Fits(NamedTuple):
             change, way = (np.asarray(space.shorter(z - o.z)) for o in (state, optimum))
             error = held_out.whiten(held_out.r + held_out.W @ way)
             moved = np.linalg.norm(held_out.whiten(held_out.W @ change))
-            shrinks, before = 1.0 - moved / before, moved
+            shrinks, before = 1.0 - moved / max(before, 1e-300), moved
             return not far and bool(moved <= share * shrinks * np.linalg.norm(error))
 
         note = partial(self._note, what)
