@@ -52,9 +52,6 @@ from softcal_jax.layouts._model_comparison import (
 )
 from softcal_jax.unknowns import Problem
 
-Progress = Callable[[str], None] | Literal[False] | None
-"""What is told which fit is under way; None is a line, False nothing."""
-
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
 """Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
 
@@ -281,7 +278,7 @@ def compare_layouts(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -319,7 +316,7 @@ def compare_laws(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the law, or the mesh, that best predicts what it was not fitted to.
 
@@ -389,7 +386,7 @@ def compare_models(
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
     seed: int = 0,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
 
