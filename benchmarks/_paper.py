@@ -63,19 +63,16 @@ class MeasuredBeam(NamedTuple):
         return self.space.to_scaled(jnp.asarray(values))
 
 
-def measured_beam(
-    cells: Cells = CELLS, *, noise: bool = False, **choices: Any
-) -> MeasuredBeam:
-    """The beam with effectors measured at p_target, without noise by default.
+def measured_beam(cells: Cells = CELLS, **choices: Any) -> MeasuredBeam:
+    """The beam with effectors measured at p_target, without noise.
 
     Args:
         cells: Cells along, up and across.
-        noise: Whether readings have noise.
         choices: Further arguments of `anisotropic_beam`.
     """
     beam = anisotropic_beam(cells=cells, std=STD, **choices)
     poses = synthetic_measurements(
-        beam.model, beam.space, beam.configurations, beam.target, noise=noise
+        beam.model, beam.space, beam.configurations, beam.target
     )
     return MeasuredBeam(beam, build_problem(beam.model, beam.space, poses))
 

@@ -13,10 +13,6 @@ its mirror images included, timed to its own end. Both by hand are stopped as so
 every parameter is within 1e-4 of p_target, which nobody with real data could do. Starts
 from which neither gets there within its time count for nobody, else the quicker one;
 there both are timed again in turn, as one run of each by itself was off by a third.
-
-Last, what `compare_layouts` takes for a layout, in processor seconds, and over the fit
-to all poses from as many starts: with four markers and their noise. Were each of the
-fits to all poses but one as long as that, it would be five times as much.
 """
 
 import statistics
@@ -41,10 +37,9 @@ from benchmarks._paper import (
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import forget_starts, interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import CalibrationSettings, multi_start
+from softcal_jax.calibration import multi_start
 from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
-from softcal_jax.fields import default_starts, random_starts
-from softcal_jax.layouts import compare_models
+from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
 from softcal_jax.unknowns import Problem
 
@@ -70,7 +65,6 @@ GOALS = {
     "seconds_one_run": Goal("at most", 0.5),
     "vs_finite_differences": Goal("at least", 20),
     "sensitivity_over_newton_iteration": Goal("at most", 1.0),
-    "layout_over_fit": Goal("at most", 2.0),
 }
 
 
@@ -105,8 +99,7 @@ def run(options: Options) -> Outcome:
         rows.append(one_start(measured, start, with_hand=i <= STARTS_BY_HAND))
     options.say("parts of a step")
     parts, steps = parts_of_a_step(measured)
-    options.say("layouts")
-    figures = _figures(rows) | _part_figures(parts, steps) | layout_figures()
+    figures = _figures(rows) | _part_figures(parts, steps)
     samples = {f"ours_{i}_s": row.ours for i, row in enumerate(rows)}
     samples |= {
         f"{kind}_s": [row.by_hand[kind].seconds for row in rows if row.by_hand]
@@ -263,30 +256,6 @@ def parts_of_a_step(measured: MeasuredBeam) -> tuple[dict[str, list[float]], int
         "with_newton": lambda: wait(with_newton(model, pose, u, problem.space, z)),
     }
     return interleave(calls, PARTS_REPEATS), int(solution.steps)
-
-
-def layout_figures() -> dict[str, Figure]:
-    """Processor seconds of a layout, and over those of the fit to all poses."""
-    noisy = {"n_effectors": 4, "noise": True}
-    problems = [measured_beam(CELLS, plane=plane, **noisy).problem for plane in PLANES]
-
-    def seconds(call: Callable[[Problem], object]) -> float:
-        call(problems[0])  # compiles
-        forget_starts()
-        begin = time.process_time()
-        call(problems[1])
-        return time.process_time() - begin
-
-    starts = default_starts(problems[0].space)
-    same = {"starts": starts, "settings": CalibrationSettings(tol=1e-4, max_steps=200)}
-    compare = partial(compare_models, progress=False, **same)
-    layout = seconds(lambda problem: compare({"ends": problem}))
-    fit = seconds(partial(multi_start, enough=0.0, **same))
-    return {"layout_processor_s": layout, "layout_over_fit": layout / fit}
-
-
-PLANES = "xz", "xy"
-"""Print planes of the layouts: the first compiles, the second is measured."""
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, Figure]:
