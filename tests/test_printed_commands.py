@@ -180,6 +180,7 @@ SCENES = {
     "docs/guide/control.md": (finger, SLOW),
     "docs/guide/design.md": (design, SLOW),
     "docs/guide/differentiate.md": (nothing, SLOW),
+    "docs/guide/extend.md": (nothing, SLOW),
     "docs/guide/fields.md": (nothing, SLOW),
     "docs/guide/other-programs.md": (calibrated, SLOW),
     "docs/guide/pictures.md": (drawn, SLOW),

@@ -2,12 +2,16 @@
 
 from softcal_jax.actuators._actuator import (
     AbstractActuator as AbstractActuator,
+    AbstractCliques as AbstractCliques,
+    AbstractDisplacedCliques as AbstractDisplacedCliques,
     ActuatorGeometry as ActuatorGeometry,
     ForceActuator as ForceActuator,
     Kind as Kind,
     Motor as Motor,
+    RestState as RestState,
     SurfaceForceActuator as SurfaceForceActuator,
     WeightedNodes as WeightedNodes,
+    owned as owned,
 )
 from softcal_jax.actuators._arrays import (
     ActuatorArrays as ActuatorArrays,

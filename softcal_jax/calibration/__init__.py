@@ -54,6 +54,7 @@ from softcal_jax.calibration._result import (
     ParameterInterval as ParameterInterval,
 )
 from softcal_jax.calibration._runs import (
+    Basin as Basin,
     Begun as Begun,
     Run as Run,
     best_of as best_of,
@@ -71,6 +72,7 @@ from softcal_jax.calibration._step import (
     FLAT as FLAT,
     OUTSIDE as OUTSIDE,
     CalibrationState as CalibrationState,
+    Proposal as Proposal,
     initial_state as initial_state,
     propose as propose,
 )

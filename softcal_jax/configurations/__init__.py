@@ -26,6 +26,7 @@ from softcal_jax.configurations._configuration import (
 from softcal_jax.configurations._csv_table import read_table as read_table
 from softcal_jax.configurations._effector import (
     AbstractEffector as AbstractEffector,
+    AbstractScalar as AbstractScalar,
     EffectorRecord as EffectorRecord,
     Unstated as Unstated,
     check_numbers as check_numbers,
