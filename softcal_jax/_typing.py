@@ -18,6 +18,15 @@ def is_traced(value: object) -> bool:
     return isinstance(value, Tracer)
 
 
+def check_untraced(what: str, value: object, leaf: str, by: str = "eqx.tree_at"):
+    """Raise ValueError, with what to set instead, if a value is traced."""
+    if any(map(is_traced, jax.tree.leaves(value))):
+        raise ValueError(
+            f"{what} is traced, expected plain numbers: make models, lanes and settings "
+            f"outside of jit and autodiff, and inside set {leaf} by {by}."
+        )
+
+
 def numpy_of(*values: object) -> ModuleType:
     """Return `jax.numpy` if a value is traced, and NumPy if all are known.
 
@@ -26,4 +35,5 @@ def numpy_of(*values: object) -> ModuleType:
     return jnp if any(map(is_traced, jax.tree.leaves(values))) else np
 
 
-__all__ = ["Array", "Bool", "Float", "HostArray", "Int", "is_traced", "numpy_of"]
+__all__ = ["Array", "Bool", "Float", "HostArray", "Int"]
+__all__ += ["check_untraced", "is_traced", "numpy_of"]
