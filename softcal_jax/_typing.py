@@ -21,9 +21,10 @@ def is_traced(value: object) -> bool:
 def check_untraced(what: str, value: object, leaf: str, by: str = "eqx.tree_at"):
     """Raise ValueError, with what to set instead, if a value is traced."""
     if any(map(is_traced, jax.tree.leaves(value))):
+        inside = f" Inside, set {leaf} by {by}." if leaf else ""
         raise ValueError(
-            f"{what} is traced, expected plain numbers: make models, lanes and settings "
-            f"outside of jit and autodiff, and inside set {leaf} by {by}."
+            f"{what} is traced, expected plain numbers: make it outside of jit and "
+            f"autodiff.{inside}"
         )
 
 

@@ -51,8 +51,7 @@ class Support(Module):
         three_numbers("displacement", "m", self.displacement)
         if self.stiffness is None:
             return
-        of = f"stiffness of the support {self.name!r}"
-        check_untraced(of, self.stiffness, "lane.springs.stiffness")
+        check_untraced("a stiffness", self.stiffness, "lane.springs.stiffness")
         if not 0.0 < self.stiffness < np.inf:
             raise ValueError(
                 f"stiffness of the support {self.name!r} must be positive and finite "
@@ -234,7 +233,7 @@ class NodalForces(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         nodes = meshes.node_indices(mesh, self.nodes, "a nodal force")
-        check_untraced("a nodal force", self.forces, "lane.loads.force")
+        check_untraced("forces", self.forces, "lane.loads.force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (n := len(nodes), 3):
             raise ValueError(f"forces need the shape ({n}, 3), got {forces.shape}.")

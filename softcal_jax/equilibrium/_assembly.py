@@ -166,10 +166,7 @@ def _smallest(values: Float[Array, "..."]) -> Float[Array, ""]:
     return jnp.min(values)
 
 
-@_smallest.defjvp
-def _jvp(primals, tangents):
-    (values,), (along,) = primals, tangents
-    return jnp.min(values), along.ravel()[jnp.argmin(values)]
+_smallest.defjvp(lambda x, d: (jnp.min(x[0]), d[0].ravel()[jnp.argmin(x[0])]))
 
 
 def smallest_det_F(u: Nodal, nodes, dN) -> Float[Array, ""]:

@@ -83,7 +83,7 @@ class NewtonSettings(Module):
     max_backtracks: Count = 12
 
     def __check_init__(self):
-        check_untraced("a number of NewtonSettings", self, "nothing", "a number alone")
+        check_untraced("a number of NewtonSettings", self, "")
         if not 0.0 < self.rtol < 1.0:
             raise ValueError(f"rtol must lie in (0, 1), got {self.rtol}.")
         for name in ("max_steps", "max_steps_per_load", "max_backtracks"):

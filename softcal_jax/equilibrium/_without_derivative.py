@@ -35,11 +35,6 @@ def without_derivative(
     return value
 
 
-def nan_of(tangent: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return nan for what is not zero, of a tangent as of a cotangent."""
-    return _nan.bind(tangent, name=None)
-
-
 @without_derivative.defjvp
 def _jvp(name, primals, tangents):
     return primals[0], _nan.bind(tangents[1], name=name)
@@ -67,3 +62,6 @@ _nan.def_impl(_or_nan)
 mlir.register_lowering(_nan, mlir.lower_fun(_or_nan, False))
 ad.deflinear2(_nan, _refuse)
 batching.defvectorized(_nan)
+
+# Of a tangent and of a cotangent, nan for what is not zero.
+nan_of = partial(_nan.bind, name=None)

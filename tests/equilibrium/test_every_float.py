@@ -4,7 +4,10 @@ The reference is the equilibrium to rounding at other values. What is compared i
 by walking through the objects, so that a new field is compared, too.
 """
 
-from functools import cache
+import dataclasses
+import re
+from functools import cache, partial
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -14,6 +17,7 @@ import pytest
 from mechanisms import arrays
 from scipy.linalg import expm
 
+import softcal_jax as sc
 from softcal_jax.actuators import (
     Cable,
     Chamber,
@@ -56,6 +60,7 @@ from softcal_jax.equilibrium import (
     traced_tet_states,
 )
 from softcal_jax.equilibrium._robot_state import observed_state
+from softcal_jax.fields import ControlPoints
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import TetMesh, beam, boundary_faces, to_quadratic
 
@@ -320,3 +325,107 @@ def test_derivatives_meet_differences(name):
     pulled = np.vdot(reverse[name], direction(name))
     parts = sum(abs(np.vdot(ct, slope[key])) for key, ct in cotangent().items())
     np.testing.assert_allclose(pulled, forward, rtol=0, atol=1e-8 * parts)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "guide" / "differentiate.md"
+ROWS = {
+    name: (code, order)
+    for name, code, order in re.findall(
+        r"^\| (.+?) \| `(.+)` \| (2|exact) \|$", PAGE.read_text(), re.M
+    )
+}
+POINTS = ControlPoints({"left": (0.0, 0.01, 0.01), "right": (0.06, 0.01, 0.02)})
+VALUES = jnp.array([2e5, 3e5])
+# Points that move take no loads and supports that are shared out by area.
+BARE = arrays(
+    MODEL,
+    dataclasses.replace(POSE, supports=POSE.supports[1:], loads=POSE.loads[1:]),
+)
+NAMES = {
+    "sc": sc,
+    "eqx": eqx,
+    "model": MODEL,
+    "mesh": MESH,
+    "lane": BARE,
+    "points": POINTS,
+    "values": VALUES,
+}
+MECHANISM = MODEL.mechanism
+# Where to differentiate, and the size of a step.
+AT = {
+    "modulus": (5e5, 5e5),
+    "field, one value per tet": (MODEL.law.elasticity.fibre.theta, 0.3),
+    "values at control points": (VALUES, 2e5),
+    "positions of control points": (POINTS.positions, 0.02),
+    "density": (MODEL.density, 1e4),
+    "gravity": (BARE.gravity, 100.0),
+    "nodal forces of the loads": (BARE.loads.force, 0.02),
+    "factors on the loads": (BARE.loads.factor, 5.0),
+    "tensions, pressures, torques, and imposed displacements of actuators": (
+        BARE.actuation.value,
+        0.3 * BARE.actuation.value,
+    ),
+    "imposed motion of nodes": (BARE.imposed, 3e-3),
+    "translations of held bodies": (BARE.bodies.translation, 3e-3),
+    "rotations of held bodies": (BARE.bodies.rotation, 0.1),
+    "frames of bodies, as mounted": (MECHANISM.bodies.mounting_translation, 3e-3),
+    "masses of bodies": (MECHANISM.bodies.mass, 1.0),
+    "frame of a recording": (BARE.effectors.base.rotation, 0.3),
+    "places of markers on the body": (BARE.effectors.offset, 3e-3),
+    "friction of obstacles": (MECHANISM.contacts.friction, 0.1),
+    "radius of an obstacle": (MECHANISM.contacts.shapes[0].radius, 1e-3),
+    "shape": (MESH.points, 3e-4),
+}
+FOLLOWING, STATIC = eqx.partition(
+    (dataclasses.replace(MODEL, moved=True), BARE), eqx.is_inexact_array_like
+)
+
+
+def floats_of(code: str, value):
+    """The floats of the robot that a row of the table makes of a value."""
+    made = eval(code, {**NAMES, "value": value})
+    robot = (made, BARE) if isinstance(made, type(MODEL)) else (MODEL, made)
+    is_float = lambda leaf: jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+    floats = [jnp.asarray(x, float) for x in jax.tree.leaves(robot) if is_float(x)]
+    return jax.tree.unflatten(jax.tree.structure(FOLLOWING), floats)
+
+
+def read(floats):
+    model, lane = eqx.combine(floats, STATIC)
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    u, multipliers = solution.displacement, solution.multipliers
+    return effector_values(model, lane, u, multipliers), u
+
+
+@jax.jit
+def read_along(floats, tangent):
+    return jax.jvp(read, (floats,), (tangent,))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROWS)
+def test_the_table_of_the_guide_has_the_order_of_accuracy(name):
+    code, order = ROWS[name]
+    value, size = (jnp.asarray(x, float) for x in AT[name])
+    step = size * np.random.default_rng(5).normal(size=value.shape)
+    floats, tangent = jax.jvp(partial(floats_of, code), (value,), (step,))
+    (start, _), slope = read_along(floats, tangent)
+    at = lambda h: read_along(floats_of(code, value + h * step), tangent)[0]
+    largest = lambda pair: max(float(np.max(np.abs(part))) for part in pair)
+    errors = []
+    for h in (3e-2, 1e-2):
+        both = zip(at(h), at(-h), slope, strict=True)
+        errors.append([(p - m) / (2.0 * h) - d for p, m, d in both])
+    scale = largest(slope)
+    assert scale > 1e-6
+    if order == "exact":
+        assert largest(errors[0]) < 1e-9 * np.max(np.abs(start))
+    else:
+        found = np.log(largest(errors[0]) / largest(errors[1])) / np.log(3.0)
+        np.testing.assert_allclose(found, float(order), atol=0.1)
+
+
+def test_every_row_of_the_table_is_tried():
+    assert set(ROWS) == set(AT)
+    table = PAGE.read_text().partition("|---|---|---|\n")[2].partition("\n\n")[0]
+    assert len(table.splitlines()) == len(ROWS)
