@@ -27,10 +27,11 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 LAW = sc.NeoHookean(E=250e3, nu=0.3)
 MESH = sc.beam(0.1, 0.03, 0.03, cells=(3, 1, 1), order=1)
+BLOCK = sc.beam(0.1, 0.03, 0.03, cells=(1, 1, 1), order=1)
 CABLE = sc.Cable("cable", [sc.Guide((0.0, 0.015, 0.05), "ground"), (0.09, 0.015, 0.02)])
 PLAIN, ROPED, OTHER = (
     build_model(mesh, LAW, density=1e3, actuators=actuators)
-    for mesh, actuators in ((MESH, []), (MESH, [CABLE]), (sc.beam(0.1, 0.03, 0.03), []))
+    for mesh, actuators in ((MESH, []), (MESH, [CABLE]), (BLOCK, []))
 )
 PLATED = build_model(MESH, LAW, density=1e3, bodies=[RigidBody("plate", "x_max")])
 LANE, PULLED, HELD = (
