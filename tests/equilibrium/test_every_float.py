@@ -352,7 +352,8 @@ NAMES = {
     "values": VALUES,
 }
 MECHANISM = MODEL.mechanism
-# Where to differentiate, and the size of a step.
+# Where to differentiate, and the size of a step: where the ball moves, so small that no
+# point of the surface comes in touch.
 AT = {
     "modulus": (5e5, 5e5),
     "field, one value per tet": (MODEL.law.elasticity.fibre.theta, 0.3),
@@ -369,7 +370,7 @@ AT = {
     "imposed motion of nodes": (BARE.imposed, 3e-3),
     "translations of held bodies": (BARE.bodies.translation, 3e-3),
     "rotations of held bodies": (BARE.bodies.rotation, 0.1),
-    "frames of bodies, as mounted": (MECHANISM.bodies.mounting_translation, 3e-4),
+    "frames of bodies, as mounted": (MECHANISM.bodies.mounting_translation, 1e-4),
     "masses of bodies": (MECHANISM.bodies.mass, 1.0),
     "frame of a recording": (BARE.effectors.base.rotation, 0.3),
     "places of markers on the body": (BARE.effectors.offset, 3e-3),
