@@ -62,6 +62,5 @@ _nan.def_impl(_or_nan)
 mlir.register_lowering(_nan, mlir.lower_fun(_or_nan, False))
 ad.deflinear2(_nan, _refuse)
 batching.defvectorized(_nan)
-
 # Of a tangent and of a cotangent, nan for what is not zero.
 nan_of = partial(_nan.bind, name=None)
