@@ -18,6 +18,16 @@ def is_traced(value: object) -> bool:
     return isinstance(value, Tracer)
 
 
+def check_untraced(what: str, value: object, leaf: str, by: str = "eqx.tree_at"):
+    """Raise ValueError, with what to set instead, if a value is traced."""
+    if any(map(is_traced, jax.tree.leaves(value))):
+        inside = f" Inside, set {leaf} by {by}." if leaf else ""
+        raise ValueError(
+            f"{what} is traced, expected plain numbers: make it outside of jit and "
+            f"autodiff.{inside}"
+        )
+
+
 def numpy_of(*values: object) -> ModuleType:
     """Return `jax.numpy` if a value is traced, and NumPy if all are known.
 
@@ -26,4 +36,5 @@ def numpy_of(*values: object) -> ModuleType:
     return jnp if any(map(is_traced, jax.tree.leaves(values))) else np
 
 
-__all__ = ["Array", "Bool", "Float", "HostArray", "Int", "is_traced", "numpy_of"]
+__all__ = ["Array", "Bool", "Float", "HostArray", "Int"]
+__all__ += ["check_untraced", "is_traced", "numpy_of"]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module, if_any, key
 from softcal_jax._text import check_known
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Float, HostArray, Int, check_untraced
 from softcal_jax.contact import AbstractShape
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -18,14 +18,22 @@ Vector = Sequence[float] | Float[ArrayLike, "3"]
 
 def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..."]:
     """Convert a user's numbers to an array, as a converter of fields."""
+    check_untraced("a vector", value, "leaves of lane.bodies or lane.effectors")
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
 optional = if_any(as_floats)
 
 
+# Leaves of a lane with such numbers, by what they are called.
+_LEAVES = {"gravity": "gravity", "displacement": "imposed"}
+_LEAVES |= dict.fromkeys(("force", "traction"), "loads.force")
+
+
 def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
     """Convert a vector to an array; raise ValueError unless it is finite."""
+    if leaf := _LEAVES.get(what.split()[0]):
+        check_untraced(what, value, f"lane.{leaf}")
     vector = as_floats(value)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
@@ -161,6 +169,8 @@ class RigidBody(Module):
                 f"rigid body {self.name!r} has no nodes: give `where`, or the `shape` "
                 "of an obstacle."
             )
+        check_untraced("mass", self.mass, "model.mechanism.bodies.mass")
+        check_untraced("friction", self.friction, "model.mechanism.contacts.friction")
         if not 0.0 <= self.friction < np.inf or (self.friction and not self.shape):
             raise ValueError(
                 f"friction of rigid body {self.name!r} must be finite and not "

@@ -8,7 +8,7 @@ import numpy as np
 from softcal_jax import mesh as meshes
 from softcal_jax._module import Module, key
 from softcal_jax._text import UNNAMED_LOADS, parse_axes
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray, Int, check_untraced
 from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._arrays import Springs
 from softcal_jax.configurations._mechanism import Mechanism
@@ -51,6 +51,7 @@ class Support(Module):
         three_numbers("displacement", "m", self.displacement)
         if self.stiffness is None:
             return
+        check_untraced("a stiffness", self.stiffness, "lane.springs.stiffness")
         if not 0.0 < self.stiffness < np.inf:
             raise ValueError(
                 f"stiffness of the support {self.name!r} must be positive and finite "
@@ -232,6 +233,7 @@ class NodalForces(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         nodes = meshes.node_indices(mesh, self.nodes, "a nodal force")
+        check_untraced("forces", self.forces, "lane.loads.force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (n := len(nodes), 3):
             raise ValueError(f"forces need the shape ({n}, 3), got {forces.shape}.")

@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
-from softcal_jax._typing import Array, Bool, Float, HostArray, is_traced
+from softcal_jax._typing import Array, Bool, Float, HostArray, check_untraced, is_traced
 from softcal_jax.actuators import (
     AbstractActuator,
     ActuatorArrays,
@@ -210,6 +210,7 @@ def actuation_arrays(
         kind = actuators.kinds[a]
         label = f"{what}: {kind.noun} {name!r}"
         imposed = isinstance(asked, ImposedDisplacement)
+        check_untraced(label, asked.value, "lane.actuation.value")
         unit = kind.displacement_unit if imposed else kind.force_unit
         if unit is None:
             raise ValueError(

@@ -77,7 +77,7 @@ class Standing(NamedTuple):
 class ContactState(Module):
     """What an obstacle feels in a state of the robot.
 
-    Area and sliding share count whole quadrature points, so their derivative is zero.
+    Area and sliding share count whole quadrature points: their derivative is nan.
 
     Attributes:
         force: Force of the robot on it [N].

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from softcal_jax._module import Module, key
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray, check_untraced
 from softcal_jax.elements import vector_length
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ class AbstractShape(Module):
         what = {kind: name for name, kind in SHAPES.items()}.get(type(self), "shape")
         for field in dataclasses.fields(self):
             if field.metadata.get("size") == "positive":
+                leaf = f"model.mechanism.contacts.shapes[0].{field.name}"
+                check_untraced(field.name, getattr(self, field.name), leaf)
                 value = np.min(getattr(self, field.name))
                 if not 0.0 < value < np.inf:
                     raise ValueError(

@@ -148,7 +148,7 @@ def energy_and_force(model: Model, u: Nodal):
     """Compute energy, sum of its absolute parts, internal force and smallest det F."""
     energy, forces, det = _map_blocks(model, u, _energy_and_force)
     force = _add_forces(model, forces)
-    return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
+    return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, _smallest(det)
 
 
 def _energy_and_force(u, tet):
@@ -157,7 +157,16 @@ def _energy_and_force(u, tet):
 
 
 def _det_F(u, tet):
-    return jnp.min(jax.vmap(determinant)(deformation_gradients(u, tet.dN)))
+    return _smallest(jax.vmap(determinant)(deformation_gradients(u, tet.dN)))
+
+
+@jax.custom_jvp
+def _smallest(values: Float[Array, "..."]) -> Float[Array, ""]:
+    """Return the minimum; JAX's own derivative is nan where a program rounds twice."""
+    return jnp.min(values)
+
+
+_smallest.defjvp(lambda x, d: (jnp.min(x[0]), d[0].ravel()[jnp.argmin(x[0])]))
 
 
 def smallest_det_F(u: Nodal, nodes, dN) -> Float[Array, ""]:
@@ -165,8 +174,9 @@ def smallest_det_F(u: Nodal, nodes, dN) -> Float[Array, ""]:
 
     `nodes` and `dN` are those of a model. It compiles faster than block by block.
     """
-    H = jnp.einsum("baki,bqaJk->iJbqk", u[nodes], dN)
-    return jnp.min(determinant(jnp.eye(3)[:, :, None, None, None] + H))
+    arms = u[nodes][:, 1:] - u[nodes][:, :1]  # as `deformation_gradients`
+    H = jnp.einsum("baki,bqaJk->iJbqk", arms, dN[:, :, 1:])
+    return _smallest(determinant(jnp.eye(3)[:, :, None, None, None] + H))
 
 
 def tangent_values(model: Model, u: Nodal) -> Float[Array, " nnz"]:

@@ -353,8 +353,7 @@ def estimated_forces(posed: Posed, point: Point) -> Float[Array, " n_a"]:
     active = taut(posed, point)
     F_a = jnp.where(active[:, None], rows_on_free(posed, point.u, rows), 0.0)
     normal = jnp.sum(F_a[:, None] * F_a[None], axis=-1)
-    scale = jnp.maximum(jnp.diag(normal), jnp.finfo(F_a.dtype).tiny)
-    unit = jnp.diag(jnp.where(active, 0.0, scale))
+    unit = jnp.diag(jnp.where(active, 0.0, 1.0))
     work = jnp.sum(F_a * posed.on_free(point.u, g)[None], axis=1)
     return jnp.linalg.solve(normal + unit, work)
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._process import check_process
-from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._typing import Array, Float, check_untraced, is_traced
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.configurations import Mechanism, build_mechanism
@@ -107,9 +107,11 @@ def build_model(
     """
     check_process()
     kind = solver_kind(solver)
+    given = law, density, contact_scale
+    check_untraced("a number of the model", given, "law and density", "set_field")
     law = with_arrays(law)
-    check_fields(law, mesh.n_tets)
-    density = _checked_density(density, mesh.n_tets)
+    check_fields(law, mesh.n_tets, density)
+    density = _checked_density(density)
     solved = kind is not NoSolver
     _check_scale(contact_scale)
     options = {"at_rest": solved, "contact_scale": contact_scale}
@@ -329,15 +331,8 @@ def _within_one_body(mesh: TetMesh, mechanism: Mechanism) -> np.ndarray:
     return (of_tet[:, 0] >= 0) & np.all(of_tet == of_tet[:, :1], axis=1)
 
 
-def _checked_density(
-    density: Float[ArrayLike, "..."], n_tets: int
-) -> Float[Array, "..."]:
+def _checked_density(density: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     density = jnp.asarray(density, float)
-    if density.ndim > 0 and density.shape != (n_tets,):
-        raise ValueError(
-            f"density must be one value or one per tet, shape ({n_tets},), "
-            f"got shape {density.shape}."
-        )
     bad = np.atleast_1d(density)[~(np.atleast_1d(density) >= 0) | np.isinf(density)]
     if bad.size:
         raise ValueError(

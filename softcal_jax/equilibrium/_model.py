@@ -198,7 +198,12 @@ def to_blocks(
     return filled.reshape(n_blocks, block, *leaf.shape[1:])
 
 
-def check_fields(law: AbstractLaw, n_tets: int) -> None:
+def check_fields(law: AbstractLaw, n_tets: int, density: Any = 0.0) -> None:
+    if (shape := np.shape(density)) not in ((), (n_tets,)):
+        raise ValueError(
+            f"density must be one value or one per tet, shape ({n_tets},), "
+            f"got shape {shape}."
+        )
     for path, leaf, _ in fields_of_tets(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(

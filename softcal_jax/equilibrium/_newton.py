@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module, key
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, check_untraced
 from softcal_jax.equilibrium._assembly import no_strains, predict, tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
@@ -83,6 +83,7 @@ class NewtonSettings(Module):
     max_backtracks: Count = 12
 
     def __check_init__(self):
+        check_untraced("a number of NewtonSettings", self, "")
         if not 0.0 < self.rtol < 1.0:
             raise ValueError(f"rtol must lie in (0, 1), got {self.rtol}.")
         for name in ("max_steps", "max_steps_per_load", "max_backtracks"):

@@ -6,6 +6,7 @@ and bodies to their imposed positions.
 """
 
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -29,9 +30,9 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import Contacts, ContactState, Standing
 from softcal_jax.equilibrium._assembly import gravity_load
-from softcal_jax.equilibrium._model import Model, Nodal
+from softcal_jax.equilibrium._model import Model, Nodal, check_fields
 from softcal_jax.equilibrium._sparsity import element_entries, reduce_values
-from softcal_jax.equilibrium._without_derivative import refuse_if
+from softcal_jax.equilibrium._without_derivative import refuse_if, without_derivative
 
 _FAR = 1e3
 """Displacement beyond which a body slides away, over the size of the robot [-]."""
@@ -247,7 +248,11 @@ class Posed(NamedTuple):
         """Compute what each obstacle feels."""
         if self.contacts.n_obstacles == 0:
             return ()
-        return self.contacts.states(self.model.positions(u), self.standing)
+        states = self.contacts.states(self.model.positions(u), self.standing)
+        none = lambda c, value: without_derivative(value, jnp.sum(c.force))
+        return tuple(
+            replace(c, area=none(c, c.area), sliding=none(c, c.sliding)) for c in states
+        )
 
     def passes_through(self, before: Nodal, after: Nodal) -> Bool[Array, ""]:
         """Tell whether the surface comes too deep into an obstacle on its way."""
@@ -423,6 +428,27 @@ class Posed(NamedTuple):
         return jnp.zeros((self._n_bodies, 6, 6)).at[:, 3:, 3:].set(turned)
 
 
+def check_lane(model: Model, lane: ConfigurationArrays) -> None:
+    """Raise ValueError unless actuators and shapes are those of the model."""
+    names, ours = lane.actuation.names, model.mechanism.actuators.names
+    if names != ours:
+        raise ValueError(
+            f"the configuration is of a model with the actuators {list(names)}; this "
+            f"one has {list(ours)}. Make it by lanes(model, poses) of this model."
+        )
+    n, of_bodies = (model.n_points, 3), (model.mechanism.bodies.n_bodies, 3)
+    shapes = dict.fromkeys(("bodies.translation", "bodies.rotation"), of_bodies)
+    shapes |= {"imposed": n, "loads.force": (len(lane.loads.names), *n)}
+    shapes |= {"springs.rest": n, "gravity": (3,), "actuation.value": (len(ours),)}
+    for leaf, shape in shapes.items():
+        if (got := np.shape(attrgetter(leaf)(lane))) != shape:
+            raise ValueError(
+                f"{leaf} of the configuration has the shape {got}; expected {shape}, "
+                "as lanes(model, poses) makes it."
+            )
+    check_fields(model.law, model.n_tets, model.density)
+
+
 def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
     """Return the arrays of one configuration of this model, or raise ValueError."""
     model.mechanism.check_on(model.mesh)
@@ -446,6 +472,7 @@ def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
             f"rigid bodies included; the model has {model.n_points}. Make it by "
             "lanes(model, poses)."
         )
+    check_lane(model, configuration)
     if not model.moved:
         return configuration
     return refuse_if(configuration, configuration.is_spread, _SPREAD)

@@ -24,7 +24,7 @@ from softcal_jax.configurations import (
 from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._posed import Posed, one_lane
+from softcal_jax.equilibrium._posed import Posed, check_lane, one_lane
 from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 
@@ -39,6 +39,9 @@ def effector_values(
 
     Rows are ordered as in `EffectorArrays`; for other arguments see `observed_state`.
     """
+    check_lane(model, configuration)
+    if u.shape != (model.n_points, 3):
+        raise ValueError(f"u has the shape {u.shape}; expected ({model.n_points}, 3).")
     read = partial(_effector_values, model, configuration)
     return where_known(read, u, multipliers, unbalanced)
 

@@ -35,7 +35,7 @@ from softcal_jax.equilibrium._newton import (
     newton_iteration,
 )
 from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._without_derivative import without_derivative
+from softcal_jax.equilibrium._without_derivative import nan_of, without_derivative
 
 if TYPE_CHECKING:
     from softcal_jax.equilibrium._newton import Solver
@@ -325,7 +325,11 @@ def _equilibrium_jvp(primals, tangents):
     or_nan = lambda a: safe(a[0]) + jnp.where(solution.converged, 0.0, jnp.nan)
     lin = linearise(model, configuration, safe(u), safe(lambda_a), differentiable=True)
     d = sensitivity(lin, jax.tree.map(safe, input_rows(lin, along)))
-    du = or_nan(d.displacement)
+    du, d_lambda = or_nan(d.displacement), or_nan(d.multipliers)
+    if not model.moved:  # points without what else is made of them
+        for points in jax.tree.leaves((t_model.mesh.points, t_model.mechanism.points)):
+            none = jnp.sum(nan_of(points))
+            du, d_lambda = du + none, d_lambda + none
     of_tets = (safe(u), model.nodes, model.shape_gradients)
     along_tets = (du, None, t_model.shape_gradients)
     _, d_det = eqx.filter_jvp(smallest_det_F, of_tets, along_tets)
@@ -333,7 +337,7 @@ def _equilibrium_jvp(primals, tangents):
     return solution, eqx.tree_at(
         lambda s: (s.displacement, s.multipliers, s.min_det_F),
         none,
-        (du, or_nan(d.multipliers), d_det),
+        (du, d_lambda, d_det),
         is_leaf=lambda leaf: leaf is None,
     )
 

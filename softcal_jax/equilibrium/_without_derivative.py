@@ -24,12 +24,13 @@ def refuse_if(value: T, wrong: Bool[Array, "..."], why: str) -> T:
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def without_derivative(
-    value: Float[Array, ""], by: Float[Array, ""], name: str
+    value: Float[Array, ""], by: Float[Array, ""], name: str | None = None
 ) -> Float[Array, ""]:
     """Return a value that has no derivative, lest it be differentiated as a constant.
 
     Where `by`, a number that is found with it, is differentiated, its tangent is nan,
     and a cotangent that is not zero raises an error that calls it by its `name`.
+    Without one it becomes nan: a program with an error in it cannot be kept.
     """
     return value
 
@@ -39,7 +40,14 @@ def _jvp(name, primals, tangents):
     return primals[0], _nan.bind(tangents[1], name=name)
 
 
+def _or_nan(tangent, *, name=None):
+    still = tangent == 0.0 if name is None else False
+    return jnp.where(still, 0.0, jnp.full_like(tangent, jnp.nan))
+
+
 def _refuse(cotangent, _, *, name):
+    if name is None:
+        return [_or_nan(cotangent)]
     why = (
         f"{name} has no derivative: it tells how a computation went, or counts. Leave "
         "it out of what is differentiated, or take jax.lax.stop_gradient of it."
@@ -50,8 +58,9 @@ def _refuse(cotangent, _, *, name):
 # Linear, and transposed only where the value counts.
 _nan = Primitive("nan")
 _nan.def_abstract_eval(lambda t, **_: t)
-_nan.def_impl(lambda t, **_: jax.device_put(np.full(np.shape(t), np.nan)))
-_lowered = mlir.lower_fun(lambda t, **_: jnp.full_like(t, jnp.nan), False)
-mlir.register_lowering(_nan, _lowered)
+_nan.def_impl(_or_nan)
+mlir.register_lowering(_nan, mlir.lower_fun(_or_nan, False))
 ad.deflinear2(_nan, _refuse)
 batching.defvectorized(_nan)
+# Of a tangent and of a cotangent, nan for what is not zero.
+nan_of = partial(_nan.bind, name=None)

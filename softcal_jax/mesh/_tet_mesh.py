@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._text import unknown_name
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray, Int, check_untraced
 from softcal_jax.elements import TET_EDGES
 
 ArrayData = HostArray | Sequence
@@ -21,6 +21,7 @@ _FAR = 1e12
 
 
 def _as_points(points: ArrayData) -> HostArray:
+    check_untraced("an array of points", points, "them", "with_points")
     return np.asarray(points, dtype=np.float64)
 
 
