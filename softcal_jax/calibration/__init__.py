@@ -54,7 +54,6 @@ from softcal_jax.calibration._result import (
     ParameterInterval as ParameterInterval,
 )
 from softcal_jax.calibration._runs import (
-    Basin as Basin,
     Begun as Begun,
     Run as Run,
     best_of as best_of,
@@ -72,7 +71,6 @@ from softcal_jax.calibration._step import (
     FLAT as FLAT,
     OUTSIDE as OUTSIDE,
     CalibrationState as CalibrationState,
-    Proposal as Proposal,
     initial_state as initial_state,
     propose as propose,
 )

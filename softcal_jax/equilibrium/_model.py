@@ -42,7 +42,8 @@ class Shapes(Module):
 
     Attributes:
         motion: Motion of the nodes of the mesh per metre of each offset [-].
-        offset: How far each is off the shape of which the model was built [m].
+        offset: How far each is off the shape of which the model was built; to set it
+            moves no nodes, as `with_offset` does [m].
     """
 
     motion: Float[Array, "n_shapes n_nodes 3"]

@@ -6,33 +6,26 @@ They are fitted to all configurations but one, and predict that one (Sec. V-C).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of, unstacked
-from softcal_jax._process import progress_line
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._lanes import unstacked
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
-    Basin,
     Begun,
     CalibrationSettings,
-    CalibrationState,
     Evaluation,
     Evaluator,
-    Proposal,
     Run,
     best_of,
     build_problem,
-    descend,
     images_of,
-    initial_state,
     known_optima,
     number_of_starts,
-    propose,
     run_start,
 )
 from softcal_jax.configurations import Configuration
@@ -59,12 +52,6 @@ Along directions that the data hardly see a fit creeps. A layout with many point
 such directions, so more steps are allowed.
 """
 
-SHARE = 0.05
-"""Change of a held-out error by a step, over the error, after which no other follows.
-
-The step itself is taken. What is left out is less where steps shrink.
-"""
-
 
 class _Fit(NamedTuple):
     """End of a fit, and the evaluation of all configurations with its parameters.
@@ -89,12 +76,6 @@ class _Fit(NamedTuple):
         return "no equilibrium with the fitted parameters"
 
 
-def _lanes(fitted: Bool[HostArray, " n_c"]) -> Int[HostArray, " n_c"]:
-    """Return the lanes of a fold: another one is repeated for that held out."""
-    every = np.arange(len(fitted))
-    return np.where(fitted, every, (every + 1) % len(fitted))
-
-
 def _fold_problem(problem: Problem, fitted: Bool[HostArray, " n_c"]) -> Problem:
     """Return the calibration of one fold, without the held-out configuration.
 
@@ -102,119 +83,38 @@ def _fold_problem(problem: Problem, fitted: Bool[HostArray, " n_c"]) -> Problem:
     shapes and programs, and the held-out configuration cannot affect the fit, not even
     by having no equilibrium.
     """
-    lanes = _lanes(fitted)
+    every = np.arange(len(fitted))
+    lanes = np.where(fitted, every, (every + 1) % len(fitted))
     taken = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], problem.configurations)
     weight = np.where(fitted[:, None, None], taken.effectors.inverse_std, 0.0)
     taken = eqx.tree_at(lambda c: c.effectors.inverse_std, taken, weight)
     return eqx.tree_at(lambda p: p.lanes.arrays, problem, taken)
 
 
-class _Fits(NamedTuple):
-    """How one model is fitted; `tell` is told which fit is under way."""
+def _fit(
+    problem: Problem,
+    settings: CalibrationSettings,
+    starts: Sequence[Float[Array, " n_p"]],
+) -> list[_Fit]:
+    """Fit all configurations but each one, then all, side by side."""
+    images = images_of(problem.space, mirror=True)
 
-    problem: Problem
-    settings: CalibrationSettings
-    starts: Sequence[Float[Array, " n_p"]]
-    tell: Callable[[str], None]
-
-    def of_all(self) -> tuple[_Fit, list[Evaluation]]:
-        """Fit all configurations; return also all optima, unless the fit failed."""
-        n_c = len(self.problem.poses)
-        with Workers(self.problem.model, n_c) as workers:
-            whole = Evaluator(self.problem, workers)
-            run, optima = self._from_starts(whole, "all configurations")
-            fit = _Fit(np.ones(n_c, bool), run, whole.from_rest(jnp.asarray(run.z)))
-            known = [] if fit.failure else [jnp.asarray(end.z) for end in optima]
-            return fit, [end for end in map(whole.from_rest, known) if end.ok]
-
-    def of_folds(self, optima: Sequence[Evaluation], share: float) -> list[_Fit]:
-        """Fit all configurations but each one, side by side: from `optima` of all."""
-        n_c = len(self.problem.poses)
-
-        def fit(fitted: Bool[HostArray, " n_c"]) -> _Fit:
-            what = f"without {self.problem.names[int(np.argmin(fitted))]}"
-            fold = Evaluator(_fold_problem(self.problem, fitted), workers)
-            found = self._from_optima(fold, fitted, optima, share, what)
-            if found is not None:
-                run, near = found
-                return _Fit(fitted, run, whole(jnp.asarray(run.z), near))
-            run, _ = self._from_starts(fold, what)
-            return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
-
-        with Workers(self.problem.model, n_c**2) as workers:
-            whole, folds = Evaluator(self.problem, workers), ~np.eye(n_c, dtype=bool)
-            return workers.side_by_side(partial(fit, fold) for fold in folds)
-
-    def _from_starts(self, evaluate: Evaluator, what: str) -> tuple[Run, list[Basin]]:
-        """Fit from all starts; return the best end, and the optima."""
-        images, ended = images_of(self.problem.space, mirror=True), list[Begun]()
-        for i, z in enumerate(self.starts):
-            note = partial(self._note, f"{what}, start {i + 1} of {len(self.starts)}")
-            more: Any = {"images": images, "known": known_optima(ended, images)}
-            run = run_start(evaluate, self.settings, z, note_step=note, **more)
-            ended.append(run)
+    def fit(whole: Evaluator, fitted: Bool[HostArray, " n_c"]) -> _Fit:
+        evaluator = Evaluator(_fold_problem(problem, fitted), whole.workers)
+        ended: list[Begun] = []
+        for z in starts:
+            known = known_optima(ended, images)
+            ended.append(run_start(evaluator, settings, z, images=images, known=known))
         runs = [begun.best for begun in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
-        return run, known_optima(ended, images)
+        return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
 
-    def _note(self, what: str, *at: Any) -> None:
-        """Tell the step of the state that comes last, if there is one yet."""
-        self.tell(f"{what}, step {int(at[-1].step) if at[-1] is not None else 0}")
-
-    def _from_optima(
-        self,
-        evaluate: Evaluator,
-        fitted: Bool[HostArray, " n_c"],
-        optima: Sequence[Evaluation],
-        share: float,
-        what: str,
-    ) -> tuple[Run, Float[Array, "n_c n_points 3"]] | None:
-        """Fit a fold from the optimum of all whose linear model foretells the least.
-
-        The first step is the leave-one-out estimate of that model. Further ones follow
-        until the held-out error changes by less than `share`, or to the end where the
-        first leaves the trust region. Returns the end, and displacements nearby [m].
-
-        None where that does not end, or the fold sees fewer directions than all do: it
-        may not learn the rest from an optimum that knows the held-out configuration.
-        """
-        space, settings = evaluate.numbered.space, self.settings.as_arrays()
-
-        def begun(optimum: Evaluation) -> tuple[Proposal, CalibrationState, Evaluation]:
-            response = lane_of(optimum.response, _lanes(fitted))
-            first = evaluate.weighed(optimum.z, response)
-            state = initial_state(self.settings, first)
-            return propose(space, settings, state), state, optimum
-
-        if not optima:
-            return None
-        lowest = lambda each: float(each[0].cost)
-        first, state, optimum = min(map(begun, optima), key=lowest)
-        far = np.abs(first.qp.lambda_p).max() >= 0.99 * self.settings.step_bound
-        linear = optimum.linear(self.problem, optimum.z)
-        rows = fitted[linear.pose]
-        rank = lambda model: model.solution.basis.shape[1]
-        if rank(linear.only(rows)) < rank(linear):
-            return None
-        held_out, z, before = linear.only(~rows), state.z, np.inf
-
-        def enough(state: CalibrationState) -> bool:
-            nonlocal z, before
-            z = propose(space, settings, state).z
-            change, way = (np.asarray(space.shorter(z - o.z)) for o in (state, optimum))
-            error = held_out.whiten(held_out.r + held_out.W @ way)
-            moved = np.linalg.norm(held_out.whiten(held_out.W @ change))
-            shrinks, before = 1.0 - moved / max(before, 1e-300), moved
-            return not far and bool(moved <= share * shrinks * np.linalg.norm(error))
-
-        note = partial(self._note, what)
-        end = descend(evaluate, self.settings, state, note, enough)
-        if end.stalled or int(end.step) >= self.settings.max_steps:
-            return None
-        z, cost = np.asarray(end.z if end.ended else z), float(end.evaluation.cost)
-        run = Run(z, cost, int(end.step), converged=True, errors=np.zeros(0))
-        return run, optimum.equilibrium.displacement
+    n_c = len(problem.poses)
+    folds = [*~np.eye(n_c, dtype=bool), np.ones(n_c, bool)]
+    with Workers(problem.model, n_c * (n_c + 1)) as workers:
+        whole = Evaluator(problem, workers)
+        return workers.side_by_side(partial(fit, whole, fold) for fold in folds)
 
 
 def _score(name: str, problem: Problem, fits: list[_Fit]) -> ModelScore:
@@ -278,7 +178,6 @@ def compare_layouts(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -303,7 +202,6 @@ def compare_layouts(
         starts=starts,
         seed=seed,
         uncertain=uncertain,
-        progress=progress,
     )
 
 
@@ -316,7 +214,6 @@ def compare_laws(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the law, or the mesh, that best predicts what it was not fitted to.
 
@@ -325,14 +222,6 @@ def compare_laws(
     Its mean squared prediction error in units of the noise decides. Whether the data
     can tell two models apart is judged by the differences of their errors on the same
     configurations, and by the scatter of these differences.
-
-    The fit to all comes first, from all starts. The others begin at its optima, with
-    the step of the linear model without the rows of one configuration (Eq. 10), which
-    is the leave-one-out estimate to first order (Cook, Technometrics 19, 1977). Steps
-    follow where that is in doubt: where it leaves the trust region, where it moves the
-    prediction by more than `SHARE` of its error, or where two models are closer than
-    that. A configuration without which fewer directions are seen is fitted anew from
-    all starts.
 
     Example:
         Two laws on one mesh::
@@ -354,9 +243,6 @@ def compare_laws(
         seed: Seed of the random starts.
         uncertain: How well everything that is not calibrated is known; offsets of
             recordings belong to the noise. By default nothing is uncertain.
-        progress: Called with what is under way: the model, the fit and its step, in
-            threads, one at a time. By default, on a terminal and in notebooks, a line
-            says it; False switches it off.
 
     Returns:
         The models, the best first, and what sets them apart. A fold that did not
@@ -376,8 +262,7 @@ def compare_laws(
             )
         except ValueError as error:
             raise ValueError(f"{name!r}: {error}") from error
-    more: Any = {"settings": settings, "starts": starts, "seed": seed}
-    return compare_models(problems, **more, progress=progress)
+    return compare_models(problems, settings=settings, starts=starts, seed=seed)
 
 
 def compare_models(
@@ -386,9 +271,11 @@ def compare_models(
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
     seed: int = 0,
-    progress: Callable[[str], None] | Literal[False] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
+
+    `progress` is called with the name of each model before it is fitted.
 
     Raises:
         ValueError: If there is no model, fewer than two configurations, or the models
@@ -403,41 +290,16 @@ def compare_models(
             f"at least 2 are needed, got {n_c}."
         )
     _check_same_data(problems)
-    fits: dict[str, _Fits] = {}
-    with progress_line(wanted=progress is None) as line:
-        tell = progress or line or (lambda _: None)
-        for name, problem in problems.items():
-            space, n = problem.space, number_of_starts(problem.space, starts, None)
-            begin = [space.admissible(space.start())]
-            if n > 1:
-                begin += unstacked(random_starts(space, n - 1, seed=seed))
-            said = lambda what, name=name: tell(f"{name}: {what}")
-            fits[name] = _Fits(problem, settings or FOR_PREDICTION, begin, said)
-        whole = {name: fit.of_all() for name, fit in fits.items()}
-
-        def scored(name: str, share: float) -> ModelScore:
-            last, optima = whole[name]
-            folds = fits[name].of_folds(optima, share)
-            return _score(name, problems[name], [*folds, last])
-
-        scores = {name: scored(name, SHARE) for name in problems}
-        for name in _in_doubt(ModelComparison.ranked([*scores.values()])):
-            scores[name] = scored(name, 0.0)
-    return ModelComparison.ranked([*scores.values()])
-
-
-def _in_doubt(compared: ModelComparison) -> list[str]:
-    """Return the models that the fits to first order may have ranked wrongly.
-
-    Their difference to the best, or from what would tell it, is within `SHARE` of both
-    errors, twice that of their squares.
-    """
-    (best, *others), names = compared.models, dict[str, None]()
-    for model, pair in zip(others, compared.differences, strict=True):
-        nearest = min(abs(pair.difference), abs(pair.difference - pair.half_width))
-        if nearest <= 2.0 * SHARE * (best.score + model.score):
-            names |= {best.name: None, model.name: None}
-    return [*names]
+    scores = []
+    for name, problem in problems.items():
+        space, n = problem.space, number_of_starts(problem.space, starts, None)
+        progress(name)
+        begin = [space.admissible(space.start())]
+        if n > 1:
+            begin += unstacked(random_starts(space, n - 1, seed=seed))
+        fits = _fit(problem, settings or FOR_PREDICTION, begin)
+        scores.append(_score(name, problem, fits))
+    return ModelComparison.ranked(scores)
 
 
 def _check_same_data(problems: Mapping[str, Problem]) -> None:

@@ -329,9 +329,7 @@ class Project(Module):
 
 
 def compare_projects(
-    projects: Sequence[Project],
-    *,
-    progress: Callable[[str], None] | Literal[False] | None = None,
+    projects: Sequence[Project], *, progress: Callable[[str], None] = lambda _: None
 ) -> ModelComparison:
     """Find the project whose law, mesh or parameters best predict held-out data.
 
@@ -340,7 +338,7 @@ def compare_projects(
 
     Args:
         projects: Projects of the same configurations and measurements, in any order.
-        progress: As in `compare_laws`.
+        progress: Called with the name of each project before it is fitted.
 
     Raises:
         ProjectError: If there are fewer than two projects, or one has nothing to

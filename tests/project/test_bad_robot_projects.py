@@ -258,7 +258,7 @@ CASES = {
         (WOUND, f'[[setup]]\nlimit = "3 mm"\n{WOUND}'),
         "setup[1]: ... one of motor_zero, mounting, friction, marker_offset, "
         "gravity_tilt, recording_offset, load_factor, load_offset, "
-        "actuator_factor, clamp_stiffness; got none",
+        "actuator_factor, clamp_stiffness, shape_offset; got none",
     ),
     "a text where only true has a meaning": (
         (WOUND, f'[[setup]]\ngravity_tilt = "both"\nlimit = "3 deg"\n{WOUND}'),

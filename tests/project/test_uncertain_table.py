@@ -36,6 +36,7 @@ def test_every_key(tmp_path):
         'recordings = "0.1 mm"',
         'zeros = "1 deg"',
         'mountings = "2 mm"',
+        'shapes = "0.1 mm"',
         "contact = 2.0",
         "mesh = 0.5",
     )
@@ -51,6 +52,7 @@ def test_every_key(tmp_path):
         "recordings": 1e-4,
         "zeros": np.deg2rad(1.0),
         "mountings": 2e-3,
+        "shapes": 1e-4,
         "contact": 2.0,
         "mesh": 0.5,
     }
