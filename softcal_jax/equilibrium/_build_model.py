@@ -185,11 +185,6 @@ def with_points(model: Model, points: Float[ArrayLike, "n_nodes 3"]) -> Model:
             f"points have the shape {np.shape(points)}; expected that of the nodes of "
             f"the mesh, {np.shape(model.mesh.points)} [m]."
         )
-    if isinstance(model.law, SofaCorotational):
-        raise ValueError(
-            "SofaCorotational holds matrices of the edges of its mesh, which do not "
-            "follow: build the model anew, with SofaCorotational.of_mesh."
-        )
     new = _placed(model, jnp.asarray(points, float))
     inverted = jnp.any(new.weights <= 0.0)
     why = "the new points turn a tet inside out."
@@ -217,6 +212,11 @@ def with_offset(model: Model, shape: int, offset: Float[Array, ""]) -> Model:
 
 
 def _placed(model: Model, points: Array) -> Model:
+    if isinstance(model.law, SofaCorotational):
+        raise ValueError(
+            "SofaCorotational holds matrices of the edges of its mesh, which do not "
+            "follow: build the model anew, with SofaCorotational.of_mesh."
+        )
     mesh, mechanism, dN, w, node_volumes = _following(model, points)
     new = replace(
         model,

@@ -36,6 +36,7 @@ def surface_motion(
     Raises:
         ValueError: If there is no such group, it has faces inside the body, or the
             direction is no vector or zero.
+        RuntimeError: If the motion of the inside is not found.
     """
     faces = boundary_faces(mesh)[:, :3]
     which = face_indices(mesh.faces(surface)[:, :3], faces)
@@ -64,7 +65,12 @@ def surface_motion(
     K = kron(_laplacian(mesh), eye_array(3), format="csr")
     A, b = (free.T @ K @ free).tocsr(), -(free.T @ (K @ motion.ravel()))
     if b.size:
-        slides, _ = cg(A, b, rtol=1e-12, M=diags_array(1.0 / A.diagonal()))
+        slides, failed = cg(A, b, rtol=1e-12, M=diags_array(1.0 / A.diagonal()))
+        if failed:
+            raise RuntimeError(
+                f"no motion of the inside was found for surface group {surface!r}: its "
+                "tets may be too flat. Mesh it anew, or give a motion of your own."
+            )
         motion += (free @ slides).reshape(-1, 3)
     return straightened(mesh, motion)
 

@@ -38,7 +38,12 @@ from softcal_jax.fields import (
     shape_offset,
 )
 from softcal_jax.identifiability import identify
-from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
+from softcal_jax.materials import (
+    ClassicalCorotational,
+    Corotational,
+    Isotropic,
+    SofaCorotational,
+)
 from softcal_jax.mesh import beam, straightened, surface_motion
 from softcal_jax.robots import simulated_measurements
 from softcal_jax.sensitivity import parameter_compliance
@@ -214,6 +219,15 @@ def test_bad_offsets():
     ):
         with pytest.raises(ValueError, match=f"shape 'wall' .*{message}"):
             build_model(bare, law, density=1.0, shapes={"wall": motion}, solver="none")
+
+
+def test_a_law_that_holds_edges_of_the_mesh_has_no_shape():
+    mesh = beam(L, B, H, (8, 1, 1), order=1)
+    law = SofaCorotational.of_mesh(mesh, Isotropic(E, NU), "edge")
+    shapes = {"wall": surface_motion(mesh, "z_max")}
+    model = build_model(mesh, law, density=DENSITY, shapes=shapes, solver="none")
+    with pytest.raises(ValueError, match="edges of its mesh"):
+        check_parameters(model, ParameterSpace([WALL]))
 
 
 def test_a_shape_that_is_inside_out_has_no_equilibrium():
