@@ -82,6 +82,11 @@ class LoadState(NamedTuple):
     done: Bool[Array, ""]
     anchor: tuple[Float[Array, ""], Float[Array, ""]] | None
 
+    @property
+    def fell(self) -> bool:
+        """Whether an anchor was taken; on the host."""
+        return self.anchor is not None and float(self.anchor[0]) >= 0.0
+
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
 class LoadSteps:
@@ -93,7 +98,7 @@ class LoadSteps:
 
     A body that no load leaves where it is, like one above a table, moves at full load
     until an obstacle carries it: an anchor draws all nodes to where they were, then to
-    where that let them go, ever more loosely, as if the body moved through honey.
+    where that let them go, ever more loosely: it moves as in a viscous fluid.
     """
 
     posed: Posed

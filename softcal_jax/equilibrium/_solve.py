@@ -226,6 +226,8 @@ def with_cause(
         return solution
     if _slides(model, lane, state.stray):
         return replace(solution, result=RESULTS.slides)
+    if state.fell:  # where it ended is no state of the load path
+        return solution
     u = state.iterate.point.u if failed == RESULTS.unstable else state.stray
     motion = u if failed == RESULTS.unstable else u - state.ok.u
     here, at_rest = stiffness_of_laws(model, u, motion)
