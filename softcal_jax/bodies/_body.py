@@ -16,24 +16,29 @@ Vector = Sequence[float] | Float[ArrayLike, "3"]
 """Three numbers, as a user types them."""
 
 
+_SOME_LEAF = "its leaf of a lane or of the model"
+
+
 def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..."]:
     """Convert a user's numbers to an array, as a converter of fields."""
-    check_untraced("a vector", value, "leaves of lane.bodies or lane.effectors")
+    check_untraced("a vector", value, _SOME_LEAF)
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
 optional = if_any(as_floats)
 
 
-# Leaves of a lane with such numbers, by what they are called.
-_LEAVES = {"gravity": "gravity", "displacement": "imposed"}
-_LEAVES |= dict.fromkeys(("force", "traction"), "loads.force")
+def three_numbers(
+    what: str,
+    unit: str,
+    value: Vector,
+    leaf: str = _SOME_LEAF,
+) -> Float[HostArray, "3"]:
+    """Convert a vector to an array; raise ValueError unless it is finite and known.
 
-
-def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
-    """Convert a vector to an array; raise ValueError unless it is finite."""
-    if leaf := _LEAVES.get(what.split()[0]):
-        check_untraced(what, value, f"lane.{leaf}")
+    `leaf` is what to set in place of a traced one.
+    """
+    check_untraced(what, value, leaf)
     vector = as_floats(value)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")

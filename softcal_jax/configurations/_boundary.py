@@ -48,7 +48,7 @@ class Support(Module):
 
     def __check_init__(self):
         parse_axes(self.axes)
-        three_numbers("displacement", "m", self.displacement)
+        three_numbers("displacement", "m", self.displacement, "lane.imposed")
         if self.stiffness is None:
             return
         check_untraced("a stiffness", self.stiffness, "lane.springs.stiffness")
@@ -183,6 +183,9 @@ def check_held(
         )
 
 
+_FORCES = "lane.loads.force"
+
+
 class AbstractLoad(Module):
     """A load that becomes forces on nodes, consistent with the shape functions.
 
@@ -214,7 +217,7 @@ class PointForce(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         point = three_numbers("point", "m", self.point)
-        force = three_numbers("force", "N", self.force)
+        force = three_numbers("force", "N", self.force, _FORCES)
         near, names = 1e-3 * mesh.size, ["the point of the force"]
         place = meshes.locate(mesh, point[None], max_distance=near, names=names)
         return _added(mesh, place.nodes[0], place.weights[0][:, None] * force)
@@ -233,7 +236,7 @@ class NodalForces(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         nodes = meshes.node_indices(mesh, self.nodes, "a nodal force")
-        check_untraced("forces", self.forces, "lane.loads.force")
+        check_untraced("forces", self.forces, _FORCES)
         forces = np.asarray(self.forces, float)
         if forces.shape != (n := len(nodes), 3):
             raise ValueError(f"forces need the shape ({n}, 3), got {forces.shape}.")
@@ -258,7 +261,7 @@ class EdgeForce(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
-        force = three_numbers("force", "N", self.force)
+        force = three_numbers("force", "N", self.force, _FORCES)
         nodes = meshes.node_indices(mesh, self.where, "an edge force")
         faces = meshes.boundary_faces(mesh)
         sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]  # two ends, then the mid node if any
@@ -292,7 +295,7 @@ class SurfaceForce(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
-        force = three_numbers("force", "N", self.force)
+        force = three_numbers("force", "N", self.force, _FORCES)
         return (shares / shares.sum())[:, None] * force
 
 
@@ -311,7 +314,7 @@ class SurfaceTraction(AbstractLoad):
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         shares = meshes.surface_shares(mesh, mesh.faces(self.where))
-        return shares[:, None] * three_numbers("traction", "Pa", self.traction)
+        return shares[:, None] * three_numbers("traction", "Pa", self.traction, _FORCES)
 
 
 LOADS = PointForce, EdgeForce, SurfaceForce, SurfaceTraction

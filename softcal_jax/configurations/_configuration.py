@@ -122,7 +122,8 @@ class Configuration(Module):
         return not any(isinstance(error, Unstated) for error in errors)
 
     def __check_init__(self):
-        three_numbers(f"gravity of configuration {self.name!r}", "m/s2", self.gravity)
+        what = f"gravity of configuration {self.name!r}"
+        three_numbers(what, "m/s2", self.gravity, "lane.gravity")
         share = self.relative_std
         if share != "estimated" and not (np.isfinite(share) and share >= 0.0):
             raise ValueError(

@@ -35,7 +35,7 @@ class AbstractShape(Module):
         what = {kind: name for name, kind in SHAPES.items()}.get(type(self), "shape")
         for field in dataclasses.fields(self):
             if field.metadata.get("size") == "positive":
-                leaf = f"model.mechanism.contacts.shapes[0].{field.name}"
+                leaf = f"{field.name} of one of model.mechanism.contacts.shapes"
                 check_untraced(field.name, getattr(self, field.name), leaf)
                 value = np.min(getattr(self, field.name))
                 if not 0.0 < value < np.inf:
