@@ -10,10 +10,7 @@ from softcal_jax.actuators import (
 from softcal_jax.bodies import Pose as Pose, RigidBody as RigidBody
 from softcal_jax.calibration import (
     bounded_step as bounded_step,
-    build_problem as build_problem,
     calibrate as calibrate,
-    errors as errors,
-    log_density as log_density,
     profile_intervals as profile_intervals,
 )
 from softcal_jax.configurations import (

@@ -204,6 +204,6 @@ def test_the_top_level_is_short():
         hasattr(softcal_jax, name) and name in dir(softcal_jax) for name in names
     )
     assert names == sorted(names)
-    assert len(names) <= 62
+    assert len(names) <= 59
     with pytest.raises(AttributeError, match="no attribute 'load_projects'"):
         softcal_jax.load_projects  # noqa: B018
