@@ -1,4 +1,4 @@
-"""Contact of the body with obstacles: their shapes, and the potential between them."""
+"""Contact of the body with obstacles and with itself: shapes, and the potential."""
 
 from softcal_jax.contact._contacts import (
     Contacts as Contacts,
@@ -17,4 +17,9 @@ from softcal_jax.contact._shapes import (
     RoundedBox as RoundedBox,
     RoundedCylinder as RoundedCylinder,
     read_surface as read_surface,
+)
+from softcal_jax.contact._touching import (
+    Touching as Touching,
+    build_touching as build_touching,
+    face_size as face_size,
 )

@@ -1,4 +1,4 @@
-"""Contact of the surface of the body with obstacles, with Coulomb friction.
+"""Contact of the surface of the body with obstacles and itself, with friction.
 
 Each quadrature point of the faces of the body, with the area A at rest and the distance
 g from an obstacle, adds A E phi(d) to the potential energy, where d = s / 2 - g is how
@@ -36,7 +36,9 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.contact._cushion import cushion, cushion_pressure, tamed_pressure
 from softcal_jax.contact._shapes import AbstractShape
+from softcal_jax.contact._touching import Touching, face_size
 from softcal_jax.elements import vector_length
 from softcal_jax.mesh import TetMesh, boundary_faces, face_areas
 
@@ -75,13 +77,14 @@ class Standing(NamedTuple):
 
 
 class ContactState(Module):
-    """What an obstacle feels in a state of the robot.
+    """What an obstacle feels, or a surface of the body of another that it touches.
 
     Area and sliding share count whole quadrature points: their derivative is nan.
 
     Attributes:
         force: Force of the robot on it [N].
-        moment: Its moment about the origin of the frame of the obstacle [N m].
+        moment: Its moment about the origin of the frame of the obstacle, or of the
+            mesh [N m].
         area: Area at rest of the surface that presses on it [m2].
         depth: How deep the surface lies in it at most [m].
         sliding: Share of the area that slides against friction [-].
@@ -93,29 +96,6 @@ class ContactState(Module):
     area: float | Float[Array, ""]
     depth: float | Float[Array, ""]
     sliding: float | Float[Array, ""]
-
-
-def _cushion(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Compute phi of the module's docstring [m]."""
-    near = jnp.clip(d, 0.0, 2.0 * s)
-    far = jnp.maximum(d / s, 2.0)
-    deep = s * (0.5 * far**2 - far + 2.0 / 3.0)
-    return jnp.where(d < 2.0 * s, near**3 / (12.0 * s**2), deep)
-
-
-def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Compute phi'(d) [-]."""
-    near = jnp.clip(d, 0.0, 2.0 * s)
-    return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
-
-
-def _tamed(
-    most: Float[Array, ""], d: Float[Array, "..."], s: Float[Array, ""]
-) -> Float[Array, "..."]:
-    """Return the pressure up to `most`, with the derivative of the whole [-]."""
-    still = jax.lax.stop_gradient
-    slope = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
-    return still(jnp.minimum(_pressure(d, s), most)) + still(slope) * (d - still(d))
 
 
 class _Touch(NamedTuple):
@@ -150,6 +130,7 @@ class Contacts(Module):
         body: Index of the rigid body of each of them.
         friction: Coefficient of friction of each [-].
         sticks: Whether it has friction; else points slide freely.
+        touching: Surfaces of the body that may touch each other; None without any.
     """
 
     faces: Int[HostArray, "n_faces n_fn"]
@@ -163,6 +144,7 @@ class Contacts(Module):
     scale: Float[Array, ""]
     shapes: tuple[AbstractShape, ...]
     friction: Float[HostArray, " n_obstacles"]
+    touching: Touching | None
     body: tuple[int, ...] = eqx.field(static=True)
     sticks: tuple[bool, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
@@ -171,19 +153,36 @@ class Contacts(Module):
     def n_obstacles(self) -> int:
         return len(self.body)
 
+    @property
+    def can_touch(self) -> bool:
+        """Whether there is anything that the body may touch."""
+        return self.n_obstacles > 0 or self.touching is not None
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The names of obstacles, then those of surfaces on each other."""
+        return self.names + (() if self.touching is None else self.touching.names)
+
     def following(self, mesh: TetMesh, points: Float[Array, "n_points 3"]):
         """Return the contacts of a mesh with other points; their scale stays [m]."""
         areas, _ = face_areas(mesh, self.faces)
         areas = jnp.where(jnp.asarray(self.areas) > 0.0, areas[None], 0.0)
-        return eqx.tree_at(lambda c: (c.areas, c.rest), self, (areas, points))
+        new = eqx.tree_at(lambda c: (c.areas, c.rest), self, (areas, points))
+        if self.touching is None:
+            return new
+        return eqx.tree_at(lambda c: c.touching, new, self.touching.following(mesh))
 
-    def cliques(self) -> tuple[Int[HostArray, "n_faces _"], ...]:
-        """List the nodes that each obstacle couples: those of a face and its frame."""
+    def cliques(self) -> tuple[Int[HostArray, "_ _"], ...]:
+        """List the nodes that each obstacle couples: those of a face and its frame.
+
+        Then those that each pair of faces that may touch couples.
+        """
         spread = lambda nodes: np.broadcast_to(nodes, (len(self.faces), 4))
-        return tuple(
+        cliques = tuple(
             np.concatenate([self.faces, spread(nodes)], axis=1).astype(np.int32)
             for nodes in self.frames
         )
+        return cliques + (() if self.touching is None else (self.touching.cliques(),))
 
     def _local(self, z: Float[Array, "m 3"]) -> Float[Array, "n_qp 3"]:
         """Return the points of a face in the frame of an obstacle [m].
@@ -225,7 +224,7 @@ class Contacts(Module):
         z: Float[Array, "m 3"],
         area: Float[Array, " n_qp"],
         start: Float[Array, "m 3"],
-        pressure: Callable[[Array, Array], Array] = _pressure,
+        pressure: Callable[[Array, Array], Array] = cushion_pressure,
     ) -> tuple[Float[Array, "m 3"], Float[Array, "m 3"], _Touch]:
         """Compute the force of a face on the obstacle `k` at the nodes `z` [N].
 
@@ -255,17 +254,20 @@ class Contacts(Module):
     def energy_and_force(
         self, x: Float[Array, "n_points 3"], standing: Standing
     ) -> tuple[Array, Array, Array | None]:
-        """Compute potential [J], forces and friction on obstacles at positions x [m].
+        """Compute potential [J], forces and friction of contact at positions x [m].
 
         Forces are the gradient of the potential and friction, which has none [N];
         without any, it is None.
         """
         energy, force = jnp.zeros(()), jnp.zeros_like(x)
+        if self.touching is not None:
+            by = self.scale, self.stiffness
+            energy, force = self.touching.energy_and_force(x, *by)
         friction = jnp.zeros_like(x) if any(self.sticks) else None
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
             parts, along, touches = jax.vmap(partial(self._face, k))(z, area, start)
-            stored = jnp.sum(area * _cushion(touches.depth, self.scale))
+            stored = jnp.sum(area * cushion(touches.depth, self.scale))
             energy = energy + self.stiffness * stored
             force = self._added(k, force, parts)
             if friction is not None and self.sticks[k]:
@@ -281,21 +283,28 @@ class Contacts(Module):
         self,
         x: Float[Array, "n_points 3"],
         standing: Standing,
+        add: Callable[..., Array],
+        values: Float[Array, " nnz"],
         *,
         tamed: bool | Bool[Array, ""] = False,
-    ) -> tuple[Float[Array, "n_faces _ _"], ...]:
+    ) -> Float[Array, " nnz"]:
         """Differentiate the force of each clique by the positions of its nodes [N/m].
 
-        It is exact unless `tamed`: then the curvature of obstacles counts as if no
-        pressure were above E. Newton's method comes across such pressures while an
-        obstacle moves in, and with them the tangent would be far from positive
-        definite.
+        `add(values, k, matrices, which)` adds matrices of cliques of the number k among
+        `cliques` to the values, of all or of some. They are exact unless `tamed`: then
+        curvature counts as if no pressure were above E. Newton's method comes across
+        such pressures while an obstacle moves in, and with them the tangent would be
+        far from positive definite.
         """
-        pressure = partial(_tamed, jnp.where(tamed, 1.0, jnp.inf))
-        return tuple(
-            self._stiffness_of(k, x, standing, pressure)
-            for k in range(self.n_obstacles)
-        )
+        pressure = partial(tamed_pressure, jnp.where(tamed, 1.0, jnp.inf))
+        for k in range(self.n_obstacles):
+            matrices = self._stiffness_of(k, x, standing, pressure)
+            values = add(values, k, matrices, slice(None))
+        if self.touching is None:
+            return values
+        of_pairs = lambda values, *more: add(values, self.n_obstacles, *more)
+        by = self.scale, self.stiffness
+        return self.touching.add_tangents(x, *by, pressure, values, of_pairs)
 
     def _stiffness_of(self, k: int, x, standing: Standing, pressure):
         z, area, start = self._positions(k, x, standing)
@@ -322,12 +331,14 @@ class Contacts(Module):
         after: Float[Array, "n_points 3"],
         standing: Standing,
     ) -> Bool[Array, ""]:
-        """Tell whether a point comes too deep into an obstacle on a straight way.
+        """Tell whether a point comes too deep into what it meets on a straight way.
 
         Points are looked for at few places of the way. A distance changes by at most
         the way, so that half the way between two places counts as depth.
         """
         through = jnp.zeros((), bool)
+        if self.touching is not None:
+            through = self.touching.passes_through(before, after)
         for k in range(self.n_obstacles):
             z, area, _ = self._positions(k, before, standing)
             to, *_ = self._positions(k, after, standing)
@@ -347,7 +358,7 @@ class Contacts(Module):
     def states(
         self, x: Float[Array, "n_points 3"], standing: Standing
     ) -> tuple[ContactState, ...]:
-        """Compute what each obstacle feels at positions of all nodes [m]."""
+        """Compute what each obstacle, and each surface, feels at positions x [m]."""
         states = []
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
@@ -369,6 +380,11 @@ class Contacts(Module):
                     / jnp.where(total > 0.0, total, 1.0),
                 )
             )
+        if self.touching is not None:
+            felt = self.touching.states(x, self.scale, self.stiffness)
+            no = jnp.zeros(())
+            for name, values in zip(self.touching.names, felt, strict=True):
+                states.append(ContactState(name=name, sliding=no, **values))
         return tuple(states)
 
     @eqx.filter_jit
@@ -390,19 +406,19 @@ def build_contacts(
     *,
     length: Float[HostArray, ""],
     scale: float | None,
+    touching: Touching | None = None,
 ) -> Contacts:
     """Collect the faces of a mesh and the obstacles; arrays are empty without any.
 
     Its stiffness is one until the law is known. The scale is by default `FINE` of the
-    mean size of a face [m].
+    mean size of a face [m]; for the rest see `Touching`.
     """
     n_obstacles = len(obstacles)
     none = np.zeros((0, 3 if mesh.order == 1 else 6), np.int32)
     faces = boundary_faces(mesh) if obstacles else none
     areas, N = face_areas(mesh, faces)
     if scale is None:
-        mean = np.sqrt(2.0 * areas.sum() / max(1, len(faces)))
-        scale = FINE * float(mean) if obstacles else 1.0
+        scale = FINE * face_size(mesh) if obstacles or touching is not None else 1.0
     pad = -len(faces) % BLOCK
     apart = [~np.isin(faces, o.nodes).all(axis=1) for o in obstacles]
     of_each = np.reshape(apart, (n_obstacles, len(faces), 1)) * areas
@@ -422,6 +438,7 @@ def build_contacts(
         shapes=tuple(jax.tree.map(to_array, o.shape) for o in obstacles),
         body=tuple(o.body for o in obstacles),
         friction=np.array([o.friction for o in obstacles], float),
+        touching=touching,
         sticks=tuple(o.friction > 0.0 for o in obstacles),
         names=tuple(o.name for o in obstacles),
     )
