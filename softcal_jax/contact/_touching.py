@@ -21,6 +21,7 @@ no step may lead there.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -42,9 +43,10 @@ from softcal_jax.mesh import (
     volumes,
 )
 
-BLOCK = 8  # faces whose points are looked at together, where one of them is near
+BLOCK = 8  # faces or points that are looked at together, where one of them touches
 _SAMPLES = 8  # states on the way of a step at which points are looked for inside
 
+_NEAREST = 8  # candidates, by distance over size, among which the nearest face is
 _GUESSES = 4  # steps to the foot of a point on a curved face, before the exact ones
 
 _SLIDE = 2.0, 0.25
@@ -180,6 +182,12 @@ def _stiffness(law, N, s, t, z) -> Float[Array, "m 3 m 3"]:
     return jnp.einsum("ra,rich,cb->aibh", B, K, B)
 
 
+def _balls(X: Float[Array, "n_faces n_fn 3"]):
+    """Return centres and radii of balls around the nodes of faces [m]."""
+    centre = jnp.mean(X, axis=1)
+    return centre, jnp.max(jnp.linalg.norm(X - centre[:, None], axis=2), axis=1)
+
+
 class Touching(Module):
     """Faces of the body that may touch each other, padded to whole blocks.
 
@@ -216,8 +224,19 @@ class Touching(Module):
         """List the nodes that each pair couples."""
         return self.faces[self.ends].reshape(len(self.ends), -1).astype(np.int32)
 
-    def _points(self, X: Float[Array, "*m n_fn 3"]) -> Float[Array, "*m n_qp 3"]:
-        return jnp.einsum("qa,...ai->...qi", jnp.asarray(self.shape_functions), X)
+    def _points(self) -> tuple[HostArray, Array]:
+        """Return the face and the shape functions of every point."""
+        n_faces, n_qp = self.areas.shape
+        rows = np.repeat(np.arange(n_faces, dtype=np.int32), n_qp)
+        return rows, jnp.tile(jnp.asarray(self.shape_functions), (n_faces, 1))
+
+    def _apart(self, X: Float[Array, "n_faces n_fn 3"]) -> Float[Array, "n_faces n_c"]:
+        """Return distances that are surely left between each face and others [m]."""
+        (centre, radius), to = _balls(X), jnp.asarray(self.partners)
+        way = jnp.linalg.norm(centre[to] - centre[:, None], axis=2)
+        # A curved face bulges beyond its nodes.
+        apart = way - 1.2 * (radius[:, None] + radius[to])
+        return jnp.where(jnp.asarray(self.pairs) >= 0, apart, jnp.inf)
 
     def _in_blocks(self, flag: Bool[Array, " n_faces"], of_block: Callable, none: Any):
         """Map indices of faces, block by block, where at least one is flagged."""
@@ -227,72 +246,67 @@ class Touching(Module):
         blocks = jax.lax.map(one, (flag.reshape(-1, BLOCK), rows))
         return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), blocks)
 
-    def _apart(self, X: Float[Array, "n_faces n_fn 3"]) -> Float[Array, "n_faces n_c"]:
-        """Return distances that are surely left between each face and others [m]."""
-        centre, to = jnp.mean(X, axis=1), jnp.asarray(self.partners)
-        radius = jnp.max(jnp.linalg.norm(X - centre[:, None], axis=2), axis=1)
-        way = jnp.linalg.norm(centre[to] - centre[:, None], axis=2)
-        # A curved face bulges beyond its nodes.
-        apart = way - 1.2 * (radius[:, None] + radius[to])
-        return jnp.where(jnp.asarray(self.pairs) >= 0, apart, jnp.inf)
+    def _at_points(self, X: Float[Array, "n_faces n_fn 3"], of_point: Callable, rows):
+        """Compute a function of each point of faces, and of those that may be nearest.
 
-    def _nearest(self, x, s) -> _Touch:
-        """Find the face that each point touches at positions x [m]."""
-        X = jax.lax.stop_gradient(x)[self.faces]
-        s = jax.lax.stop_gradient(s)
+        Its arguments are the shape functions of the point, the number of its face, the
+        numbers of other faces, and those of the pairs.
+        """
+        centre, radius = _balls(X)
         partners, pairs = jnp.asarray(self.partners), jnp.asarray(self.pairs)
+        some = min(_NEAREST, pairs.shape[1])
+
+        def chosen(N, row):
+            to, x = partners[row], N @ X[row]
+            beside = jnp.linalg.norm(centre[to] - x[None], axis=1) / radius[to]
+            beside = jnp.where(pairs[row] >= 0, beside, jnp.inf)
+            k = jax.lax.top_k(-beside, some)[1]
+            return of_point(N, row, to[k], pairs[row, k])
+
+        of_face = jax.vmap(jax.vmap(chosen, (0, None)), (None, 0))
+        return of_face(jnp.asarray(self.shape_functions), rows)
+
+    def _touched(self, x: Float[Array, "n_points 3"], s) -> _Touch:
+        """Find the face that each point touches at positions x [m]."""
+        X, s = jax.lax.stop_gradient((x[self.faces], s))
         limits = jnp.asarray(self.limits)
 
-        def of_point(x, C, limits, pairs, partners):
+        def of_point(N, row, partners, pairs):
+            x, C = N @ X[row], jax.vmap(_polynomial)(X[partners])
             feet = jax.vmap(_foot, (0, None))(C, x)
             at = jax.vmap(_placed, (0, None, 0, None))(C, x, feet, s)
-            felt = (pairs >= 0) & (at.along > -limits)
+            felt = (pairs >= 0) & (at.along > -limits[partners])
             # Of faces that share the nearest edge, the one that lies below the point.
             k = jnp.argmin(jnp.where(felt, at.away - 1e-6 * at.along, jnp.inf))
             pair = jnp.where(felt[k] & (at.gap[k] < 0.5 * s), pairs[k], -1)
             return _Touch(pair, partners[k], feet[k])
 
-        def of_block(rows):
-            to = partners[rows]
-            C = jax.vmap(jax.vmap(_polynomial))(X[to])
-            of_face = jax.vmap(of_point, (0, None, None, None, None))
-            points = self._points(X[rows])
-            return jax.vmap(of_face)(points, C, limits[to], pairs[rows], to)
+        no = jnp.zeros((BLOCK, len(self.shape_functions)), jnp.int32)
+        none = _Touch(no - 1, no, jnp.zeros((*no.shape, 2)))
+        near = jnp.any(self._apart(X) < 0.5 * s, axis=1)
+        touch = self._in_blocks(near, partial(self._at_points, X, of_point), none)
+        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), touch)
 
-        n = BLOCK, len(self.shape_functions)
-        no = jnp.zeros(n, jnp.int32)
-        none, near = _Touch(no - 1, no, jnp.zeros((*n, 2))), self._apart(X) < 0.5 * s
-        return self._in_blocks(jnp.any(near, axis=1), of_block, none)
-
-    def _each(self, of_point: Callable, touch: _Touch, X, rows):
-        """Compute a function of N, the foot and the nodes at all points of faces."""
-        own = X[rows][:, None]
-        own = jnp.broadcast_to(own, (*touch.pair.shape, *own.shape[2:]))
-        z = jnp.concatenate([own, X[touch.partner]], axis=2)
-        at_points = jax.vmap(of_point, (0, 0, 0))
-        N = jnp.asarray(self.shape_functions)
-        return jax.vmap(at_points, (None, 0, 0))(N, touch.foot, z)
-
-    def _felt(self, x, s, E):
+    def _felt(self, x: Float[Array, "n_points 3"], s, E):
         """Return what points touch, their E A [N], depths [m] and forces on nodes [N].
 
-        Weights are zero where nothing is touched.
+        Weights and depths are zero where nothing is touched.
         """
-        touch, every = self._nearest(x, s), slice(None)
-        of_gap = jax.value_and_grad(_gap, 3)
-        of_point = lambda N, t, z: of_gap(N, s, t, z)
-        gap, slope = self._each(of_point, touch, x[self.faces], every)
-        weight = jnp.where(touch.pair >= 0, E * jnp.asarray(self.areas), 0.0)
+        touch, X, (rows, N) = self._touched(x, s), x[self.faces], self._points()
+        z = jnp.concatenate([X[rows], X[touch.partner]], axis=1)
+        of_point = jax.vmap(jax.value_and_grad(_gap, 3), (0, None, 0, 0))
+        gap, slope = of_point(N, s, touch.foot, z)
+        weight = jnp.where(touch.pair >= 0, E * jnp.asarray(self.areas).ravel(), 0.0)
         depth = jnp.where(weight > 0.0, 0.5 * s - gap, 0.0)
-        push = (weight * cushion_pressure(depth, s))[:, :, None, None]
+        push = (weight * cushion_pressure(depth, s))[:, None, None]
         return touch, weight, depth, -push * slope
 
     def energy_and_force(self, x: Float[Array, "n_points 3"], s, E):
         """Compute the potential [J], and its gradient by positions x [N]."""
         touch, weight, depth, force = self._felt(x, s, E)
-        n, faces = self.faces.shape[1], jnp.asarray(self.faces)
-        total = jnp.zeros_like(x).at[faces].add(jnp.sum(force[:, :, :n], axis=1))
-        total = total.at[faces[touch.partner]].add(force[:, :, n:])
+        (rows, _), n, faces = self._points(), self.faces.shape[1], self.faces
+        total = jnp.zeros_like(x).at[faces[rows]].add(force[:, :n])
+        total = total.at[jnp.asarray(faces)[touch.partner]].add(force[:, n:])
         return jnp.sum(weight * cushion(depth, s)), total
 
     def add_tangents(
@@ -308,29 +322,30 @@ class Touching(Module):
 
         `add` adds matrices of numbered pairs to the values, block by block.
         """
-        touch, X, areas = self._nearest(x, s), x[self.faces], jnp.asarray(self.areas)
-        n, ends, m = (
-            self.faces.shape[1],
-            jnp.asarray(self.ends),
-            6 * self.faces.shape[1],
-        )
+        touch, X, (rows, N) = self._touched(x, s), x[self.faces], self._points()
+        n, ends = self.faces.shape[1], jnp.asarray(self.ends)
+        points = jnp.asarray(rows), N, E * jnp.asarray(self.areas).ravel()
+        # Those that touch come first, so that few blocks have some.
+        order = jnp.argsort(touch.pair < 0).reshape(-1, BLOCK)
 
-        def of_block(values, rows):
-            at = jax.tree.map(lambda a: a[rows], touch)
-            K = self._each(lambda N, t, z: _stiffness(law, N, s, t, z), at, X, rows)
+        def of_block(values, which):
+            (pair, to, feet), (row, N, weight) = jax.tree.map(
+                lambda a: a[which], (touch, points)
+            )
+            z = jnp.concatenate([X[row], X[to]], axis=1)
+            of_point = jax.vmap(partial(_stiffness, law), (0, None, 0, 0))
+            K = of_point(N, s, feet, z)
             # In the order of the pair.
-            turn = (ends[at.pair, 0] != rows[:, None])[..., None, None, None, None]
-            K = jnp.where(turn, jnp.roll(K, (n, n), (2, 4)), K).reshape(-1, m, m)
-            weight = jnp.where(at.pair >= 0, E * areas[rows], 0.0).reshape(-1, 1, 1)
-            K = jnp.where(weight > 0.0, weight * K, 0.0)
-            return add(values, K, jnp.maximum(at.pair, 0).ravel())
+            turn = (ends[pair, 0] != row)[:, None, None, None, None]
+            K = jnp.where(turn, jnp.roll(K, (n, n), (1, 3)), K)
+            K = jnp.where(pair >= 0, weight, 0.0)[:, None, None, None, None] * K
+            return add(values, K.reshape(BLOCK, 6 * n, -1), jnp.maximum(pair, 0))
 
-        def one(values, rows):
-            some = jnp.any(touch.pair[rows] >= 0)
-            return jax.lax.cond(some, of_block, lambda v, _: v, values, rows), None
+        def one(values, which):
+            some = jnp.any(touch.pair[which] >= 0)
+            return jax.lax.cond(some, of_block, lambda v, _: v, values, which), None
 
-        rows = jnp.arange(len(self.faces), dtype=jnp.int32).reshape(-1, BLOCK)
-        return jax.lax.scan(one, values, rows)[0]
+        return jax.lax.scan(one, values, order)[0]
 
     def passes_through(
         self, before: Float[Array, "n_points 3"], after: Float[Array, "n_points 3"]
@@ -348,60 +363,55 @@ class Touching(Module):
         against = against + longest(way - middle[:, None])[to]
         far = (self._apart(X) < against) & (against > 0.5 * limits[to])
 
-        def of_pair(x, C, limit):
-            t = _foot(C, x)
-            at = _placed(C, x, t, jnp.ones(()))
-            return at.along > -limit, at.inside
+        def above(X, N, row, to):
+            C, x = _polynomial(X[to]), N @ X[row]
+            at = _placed(C, x, _foot(C, x), jnp.ones(()))
+            return at.along > -limits[to], at.inside
 
         def of_block(rows):
-            def at(share):
-                place = X + share * way
-                C = jax.vmap(jax.vmap(_polynomial))(place[to[rows]])
-                of_point = jax.vmap(of_pair, (None, 0, 0))
-                of_face = jax.vmap(of_point, (0, None, None))
-                points = self._points(place[rows])
-                return jax.vmap(of_face)(points, C, limits[to[rows]])
+            def falls(share):
+                now, last = X + share * way, X + (share - 1.0 / _SAMPLES) * way
 
-            def one(above, share):
-                now, inside = at(share)
-                falls = above & ~now & inside
-                return now, jnp.any(falls, axis=1) & (
-                    jnp.asarray(self.pairs)[rows] >= 0
-                )
+                def of_point(N, row, partners, pairs):
+                    is_above, inside = jax.vmap(partial(above, now, N, row))(partners)
+                    was_above, _ = jax.vmap(partial(above, last, N, row))(partners)
+                    return jnp.any((pairs >= 0) & was_above & ~is_above & inside)
 
-            first, _ = at(jnp.zeros(()))
+                return jnp.any(self._at_points(now, of_point, rows), axis=1)
+
             shares = jnp.linspace(0.0, 1.0, _SAMPLES + 1)[1:]
-            return jnp.any(jax.lax.scan(one, first, shares)[1], axis=(0, 2))
+            return jnp.any(jax.lax.map(falls, shares), axis=0)
 
-        none = jnp.zeros(BLOCK, bool)
-        return jnp.any(self._in_blocks(jnp.any(far, axis=1), of_block, none))
+        none, flag = jnp.zeros(BLOCK, bool), jnp.any(far, axis=1)
+        return jnp.any(self._in_blocks(flag, of_block, none))
 
-    def states(self, x: Float[Array, "n_points 3"], s, E) -> list[dict[str, Any]]:
-        """Compute force [N], moment [N m], area [m2] and depth [m] of each pair."""
-        touch, _, depth, force = self._felt(x, s, E)
-        n, rows = self.faces.shape[1], jnp.arange(len(self.faces), dtype=jnp.int32)
-        # On points of the second surface, and from those of the first.
+    def states(self, x: Float[Array, "n_points 3"], s, E) -> list[dict[str, Array]]:
+        """Compute force [N], moment [N m], area [m2] and depth [m] of each pair.
+
+        That is the force of the first surface on the second.
+        """
+        touch, weight, depth, force = self._felt(x, s, E)
+        (rows, _), n = self._points(), self.faces.shape[1]
         pair = jnp.maximum(touch.pair, 0)
-        swap = jnp.asarray(self.ends)[pair, 0] != rows[:, None]
-        on_second = swap ^ jnp.asarray(self.swapped)[pair]
-        own = jnp.where(on_second, -1.0, 1.0)[:, :, None, None] * force[:, :, :n]
-        moments = jnp.cross(x[self.faces][:, None], own)
-        area = jnp.where(depth > 0.0, jnp.asarray(self.areas), 0.0)
-        states = []
-        for k in range(len(self.names)):
-            its = (touch.pair >= 0) & (jnp.asarray(self.of)[pair] == k)
-            total = lambda a, its=its: jnp.sum(
-                jnp.where(its[:, :, None], jnp.sum(a, axis=2), 0.0), axis=(0, 1)
-            )
-            states.append(
-                {
-                    "force": total(own),
-                    "moment": total(moments),
-                    "area": jnp.sum(jnp.where(its, area, 0.0)),
-                    "depth": jnp.max(jnp.where(its, depth - 0.5 * s, 0.0), initial=0.0),
-                }
-            )
-        return states
+        is_first = jnp.asarray(self.ends)[pair, 0] == rows
+        sign = jnp.where(is_first ^ jnp.asarray(self.swapped)[pair], 1.0, -1.0)
+        of_nodes = sign[:, None, None] * force[:, :n]
+        forces = jnp.sum(of_nodes, axis=1)
+        moments = jnp.sum(jnp.cross(x[self.faces[rows]], of_nodes), axis=1)
+        area = jnp.where(depth > 0.0, jnp.asarray(self.areas).ravel(), 0.0)
+        surface = jnp.asarray(self.of)[pair]
+
+        def of(k: int) -> dict[str, Array]:
+            its = (weight > 0.0) & (surface == k)
+            total = lambda a: jnp.sum(jnp.where(its[:, None], a, 0.0), axis=0)
+            return {
+                "force": total(forces),
+                "moment": total(moments),
+                "area": jnp.sum(jnp.where(its, area, 0.0)),
+                "depth": jnp.max(jnp.where(its, depth - 0.5 * s, 0.0), initial=0.0),
+            }
+
+        return [of(k) for k in range(len(self.names))]
 
 
 def face_size(mesh: TetMesh) -> float:

@@ -90,12 +90,12 @@ def build_model(
             the platform; or "pardiso-host", the default where JAX computes on a GPU
             (extra `gpu`). "none" prepares none: such a model can be looked at, not
             solved.
-        contact_scale: Thickness of the cushion between the body and obstacles, see
+        contact_scale: Thickness of the cushion between surfaces that touch, see
             `softcal_jax.contact`; the error of contact is in proportion to it. By
             default a two-hundredth of the mean size of the surface's faces [m].
-        touching: Pairs of surface groups that may touch each other, or a group twice
-            where it may touch itself. Elsewhere contact of the body with itself is only
-            detected.
+        touching: Pairs of surface groups that may touch each other, without friction,
+            like [["upper", "lower"]]; a group twice where it may touch itself.
+            Elsewhere contact of the body with itself is only detected.
         touching_reach: How far beside its mirror image on the other surface, as they
             lie at rest, a face may meet it; the tangent couples all that can meet. By
             default twice the mean size of the faces, and a quarter of their distance

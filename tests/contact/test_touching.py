@@ -136,7 +136,7 @@ def test_energy_forces_and_tangent_are_derivatives_of_each_other(order):
     shift = turn.apply(x) - x + [0.004, 0.003, -5e-5]
     u = crumpled(model) + np.where(above[:, None], shift, 0.0)
     at = posed(model)
-    touch = model.mechanism.contacts.touching._nearest(
+    touch = model.mechanism.contacts.touching._touched(
         model.positions(u), jnp.array(1e-4)
     )
     assert 20 < (touch.pair >= 0).sum() < touch.pair.size - 20
