@@ -7,6 +7,10 @@ from softcal_jax.contact._contacts import (
     Standing as Standing,
     build_contacts as build_contacts,
 )
+from softcal_jax.contact._facing import (
+    build_touching as build_touching,
+    face_size as face_size,
+)
 from softcal_jax.contact._shapes import (
     SHAPES as SHAPES,
     AbstractShape as AbstractShape,
@@ -18,8 +22,4 @@ from softcal_jax.contact._shapes import (
     RoundedCylinder as RoundedCylinder,
     read_surface as read_surface,
 )
-from softcal_jax.contact._touching import (
-    Touching as Touching,
-    build_touching as build_touching,
-    face_size as face_size,
-)
+from softcal_jax.contact._touching import Touching as Touching

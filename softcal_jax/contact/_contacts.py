@@ -37,8 +37,9 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.contact._cushion import cushion, cushion_pressure, tamed_pressure
+from softcal_jax.contact._facing import face_size
 from softcal_jax.contact._shapes import AbstractShape
-from softcal_jax.contact._touching import Touching, face_size
+from softcal_jax.contact._touching import Touching
 from softcal_jax.elements import vector_length
 from softcal_jax.mesh import TetMesh, boundary_faces, face_areas
 
@@ -96,6 +97,10 @@ class ContactState(Module):
     area: float | Float[Array, ""]
     depth: float | Float[Array, ""]
     sliding: float | Float[Array, ""]
+
+
+def _pressure_of(tamed: bool | Bool[Array, ""]) -> Callable[[Array, Array], Array]:
+    return partial(tamed_pressure, jnp.where(tamed, 1.0, jnp.inf))
 
 
 class _Touch(NamedTuple):
@@ -283,28 +288,37 @@ class Contacts(Module):
         self,
         x: Float[Array, "n_points 3"],
         standing: Standing,
-        add: Callable[..., Array],
+        *,
+        tamed: bool | Bool[Array, ""] = False,
+    ) -> tuple[Float[Array, "n_faces _ _"], ...]:
+        """Differentiate the forces on obstacles by the nodes of each clique [N/m].
+
+        It is exact unless `tamed`: then curvature counts as if no pressure were above
+        E. Newton's method comes across such pressures while an obstacle moves in, and
+        with them the tangent would be far from positive definite.
+        """
+        pressure = _pressure_of(tamed)
+        return tuple(
+            self._stiffness_of(k, x, standing, pressure)
+            for k in range(self.n_obstacles)
+        )
+
+    def add_touching(
+        self,
+        x: Float[Array, "n_points 3"],
         values: Float[Array, " nnz"],
+        add: Callable[[Array, Array, Array], Array],
         *,
         tamed: bool | Bool[Array, ""] = False,
     ) -> Float[Array, " nnz"]:
-        """Differentiate the force of each clique by the positions of its nodes [N/m].
+        """Add to values what `tangents` are to obstacles, of surfaces that touch [N/m].
 
-        `add(values, k, matrices, which)` adds matrices of cliques of the number k among
-        `cliques` to the values, of all or of some. They are exact unless `tamed`: then
-        curvature counts as if no pressure were above E. Newton's method comes across
-        such pressures while an obstacle moves in, and with them the tangent would be
-        far from positive definite.
+        `add` adds matrices of cliques of the last kind in `cliques`, and their numbers.
         """
-        pressure = partial(tamed_pressure, jnp.where(tamed, 1.0, jnp.inf))
-        for k in range(self.n_obstacles):
-            matrices = self._stiffness_of(k, x, standing, pressure)
-            values = add(values, k, matrices, slice(None))
         if self.touching is None:
             return values
-        of_pairs = lambda values, *more: add(values, self.n_obstacles, *more)
-        by = self.scale, self.stiffness
-        return self.touching.add_tangents(x, *by, pressure, values, of_pairs)
+        of_contact = self.scale, self.stiffness, _pressure_of(tamed)
+        return self.touching.add_tangents(x, *of_contact, values, add)
 
     def _stiffness_of(self, k: int, x, standing: Standing, pressure):
         z, area, start = self._positions(k, x, standing)

@@ -238,15 +238,18 @@ class Posed(NamedTuple):
         """Add contact to the tangent over all nodes, see `Contacts.tangents` [N/m]."""
         if not self.contacts.can_touch:
             return values
+        x, symmetric = self.model.positions(u), self.model.pattern.symmetric
+        all_at = self.model.contact_at
 
-        def add(values, k, matrices, which):
-            places = jnp.asarray(self.model.contact_at[k])[:, which]
-            symmetric = self.model.pattern.symmetric
+        def add(values, matrices, places):
             p, q = element_entries(matrices.shape[1] // 3, symmetric)
             return values.at[places].add(matrices[:, p, q].T)
 
-        x, standing = self.model.positions(u), self.standing
-        return self.contacts.tangents(x, standing, add, values, tamed=tamed)
+        stiffness = self.contacts.tangents(x, self.standing, tamed=tamed)
+        for matrices, at in zip(stiffness, all_at, strict=False):
+            values = add(values, matrices, at)
+        of_pairs = lambda v, K, which: add(v, K, jnp.asarray(all_at[-1])[:, which])
+        return self.contacts.add_touching(x, values, of_pairs, tamed=tamed)
 
     def contact_states(self, u: Nodal) -> tuple[ContactState, ...]:
         """Compute what each obstacle feels, then each surface that may be touched."""

@@ -35,7 +35,7 @@ from softcal_jax.mesh import TetMesh, beam, boundary_faces, self_contact
 
 E, NU, SIDE, SCALE = 1e5, 0.3, 0.02, 1e-5
 LAW = Corotational(Isotropic(E, NU))
-WEIGHTLESS = {"gravity": (0.0, 0.0, 0.0)}
+NO_WEIGHT = (0.0, 0.0, 0.0)
 TIGHT = NewtonSettings(rtol=1e-12)
 
 
@@ -76,6 +76,12 @@ def solved(model, pose, settings=TIGHT):
     return solution
 
 
+def pairs_of(model):
+    touching = model.mechanism.contacts.touching
+    assert touching is not None
+    return touching
+
+
 def felt(model, pose, solution):
     batch = jax.tree.map(lambda leaf: leaf[None], solution)
     (state,) = robot_states(model, [pose], batch)
@@ -93,7 +99,7 @@ SQUEEZE = Configuration(
         Support("z_max", "z", displacement=(0.0, 0.0, PRESSED)),
     ],
     effectors=[ContactForce("force", "low on high", (0, 0, 1))],
-    **WEIGHTLESS,
+    gravity=NO_WEIGHT,
 )
 
 
@@ -136,9 +142,7 @@ def test_energy_forces_and_tangent_are_derivatives_of_each_other(order):
     shift = turn.apply(x) - x + [0.004, 0.003, -5e-5]
     u = crumpled(model) + np.where(above[:, None], shift, 0.0)
     at = posed(model)
-    touch = model.mechanism.contacts.touching._touched(
-        model.positions(u), jnp.array(1e-4)
-    )
+    touch = pairs_of(model)._touched(model.positions(u), jnp.array(1e-4))
     assert 20 < (touch.pair >= 0).sum() < touch.pair.size - 20
 
     v = jnp.asarray(np.random.default_rng(1).normal(size=u.shape))
@@ -260,18 +264,19 @@ def with_walls(mesh):
 HALF = with_walls(arm())
 FOLD = with_walls(with_mirror_image(arm()))
 PUSH = SurfaceForce("top", (0.0, 0.0, -0.03)), SurfaceForce("bottom", (0.0, 0.0, 0.03))
-CLOSED = Configuration("closed", ["root"], loads=PUSH, **WEIGHTLESS)
+CLOSED = Configuration("closed", ["root"], loads=PUSH, gravity=NO_WEIGHT)
 
 
 def test_a_fold_closes_as_its_half_on_a_mirror():
-    scale = {"density": 0.0, "contact_scale": 2e-5}
-    fold = build_model(FOLD, LAW, touching=[("upper", "lower")], **scale)
+    fold = build_model(
+        FOLD, LAW, density=0.0, touching=[("upper", "lower")], contact_scale=2e-5
+    )
     solution = solved(fold, CLOSED)
     contact = felt(fold, CLOSED, solution)["upper on lower"]
     mirror = RigidBody("mirror", shape=HalfSpace())
-    half = build_model(HALF, LAW, bodies=[mirror], **scale)
+    half = build_model(HALF, LAW, density=0.0, bodies=[mirror], contact_scale=2e-5)
     plane = [Support("cut", "z")]
-    pose = Configuration("half", ["root", *plane], loads=PUSH[:1], **WEIGHTLESS)
+    pose = Configuration("half", ["root", *plane], loads=PUSH[:1], gravity=NO_WEIGHT)
     n = HALF.n_nodes
     u, of_half = (
         np.asarray(s.displacement)[:n] for s in (solution, solved(half, pose))
@@ -317,7 +322,7 @@ def test_a_chamber_that_is_sucked_flat_converges():
     )
     vacuum = 2e4
     suction = {"c": ImposedForce(-vacuum)}
-    pose = Configuration("flat", ["bottom"], actuation=suction, **WEIGHTLESS)
+    pose = Configuration("flat", ["bottom"], actuation=suction, gravity=NO_WEIGHT)
     solution = solved(model, pose, NewtonSettings())
     contact = felt(model, pose, solution)["cavity on cavity"]
     assert contact.depth < 2.0 * float(model.mechanism.contacts.scale)
@@ -348,7 +353,7 @@ def test_faces_of_one_body_or_with_a_common_node_never_touch():
     plate = RigidBody("plate", np.union1d(mesh.nodes("low"), mesh.nodes("high")))
     with pytest.raises(ValueError, match=r"'low'.*'high'.*touching.*rigid body"):
         build_model(mesh, LAW, density=0.0, bodies=[plate], touching=[("low", "high")])
-    faces = BLOCKS.mechanism.contacts.touching
+    faces = pairs_of(BLOCKS)
     for a, b in faces.faces[faces.ends]:
         assert not set(a) & set(b)
 
@@ -375,7 +380,7 @@ def test_a_larger_reach_has_more_pairs():
             touching_reach=reach,
             solver="none",
         )
-        pairs.append(len(model.mechanism.contacts.touching.ends))
+        pairs.append(len(pairs_of(model).ends))
     assert pairs[0] < pairs[1] < pairs[2] == 8 * 18
 
 

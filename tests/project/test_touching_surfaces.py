@@ -70,6 +70,7 @@ def test_surfaces_that_touch_are_in_results_and_reports(tmp_path):
     (pose,) = result.configurations
     assert pose.converged
     assert pose.self_contact is None
+    assert pose.robot is not None
     (contact,) = pose.robot.contacts
     assert contact.name == "low on high"
     # Clamped at both ends, a little more than P = E (l - 1).
@@ -87,7 +88,7 @@ def test_their_cushion_is_uncertain_too(tmp_path):
     project = load_project(write(tmp_path), solve=False)
     model, poses = project.model, project.configurations
     arrays = configuration_arrays(model.mesh, poses, model.mechanism)
-    assert KINDS["contact_scale"].occurs(model, arrays, None) == {"": ("",)}
+    assert KINDS["contact_scale"].occurs(model, arrays, ()) == {"": ("",)}
 
 
 @pytest.mark.parametrize(
