@@ -402,15 +402,21 @@ class Contacts(Module):
         return tuple(states)
 
     @eqx.filter_jit
-    def depths_at_start(self, standing: Standing) -> Float[Array, " n_obstacles"]:
-        """Compute how deep the body at rest lies in obstacles before the load [m]."""
+    def depths_at_start(self, standing: Standing) -> Float[Array, " n"]:
+        """Compute how deep the body at rest lies in what it may touch [m].
+
+        That is before the load, in the order of `touched`.
+        """
         x, depths = jnp.asarray(self.rest), jnp.zeros(self.n_obstacles)
         for k, frame in enumerate(self.frames):
             x = x.at[frame].set(standing.start[k])
             z, area, _ = self._positions(k, x, standing)
             gap = jax.vmap(partial(self._gaps, k))(z)
             depths = depths.at[k].set(jnp.max(jnp.where(area > 0.0, -gap, 0.0)))
-        return depths
+        if self.touching is None:
+            return depths
+        felt = self.touching.states(x, self.scale, self.stiffness)
+        return jnp.concatenate([depths, jnp.stack([of["depth"] for of in felt])])
 
 
 def build_contacts(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax.actuators import Chamber
 from softcal_jax.bodies import RigidBody
+from softcal_jax.calibration import simulation_result
 from softcal_jax.configurations import (
     Configuration,
     ContactForce,
@@ -329,6 +330,11 @@ def test_a_chamber_that_is_sucked_flat_converges():
     # What the pressure pushes together where they touch, and more around it.
     force = abs(contact.force[2])
     assert vacuum * contact.area < force < 2.0 * vacuum * contact.area
+    # Nodes between the points of such large faces are deeper, which is no overlap.
+    assert self_contact(mesh, np.asarray(solution.displacement)) is not None
+    batch = jax.tree.map(lambda leaf: leaf[None], solution)
+    (result,) = simulation_result(model, [pose], batch).configurations
+    assert result.self_contact is None
 
 
 def test_a_step_that_leads_through_a_wall_is_seen():
@@ -367,6 +373,19 @@ def test_surfaces_that_cannot_touch_are_refused():
         build(touching=[("low", "low")])
     with pytest.raises(ValueError, match=r"touching_reach .*positive.*-1"):
         build(touching=[("low", "high")], touching_reach=-1.0)
+
+
+@pytest.mark.parametrize("overlap", [0.0, 1e-4])
+def test_surfaces_that_overlap_at_rest_are_refused(overlap):
+    """Those that lie on each other are not."""
+    mesh = two_blocks(order=1, cells=((1, 1, 1), (2, 2, 1)), gap=-overlap)
+    model = build_model(mesh, LAW, density=0.0, touching=[("low", "high")])
+    make = lambda: configuration_arrays(mesh, [SQUEEZE], model.mechanism)
+    if overlap == 0.0:
+        make()
+    else:
+        with pytest.raises(ValueError, match=r"'squeeze'.*0\.1 mm.*low on high"):
+            make()
 
 
 def test_a_larger_reach_has_more_pairs():
