@@ -4,11 +4,11 @@ With the nearest point y of the face, the normal n there and a = (x - y) . n,
 
     g = a            where y lies inside of the face;
         |x - y|      where y lies on its edge, and x above,
-        a + b - a b / s  below, with b = |x - y - a n| and the scale s of contact,
+        (b^2 - a^2) / (b^2 + a^2)^0.5  below, with b = (1 - a / s) |x - y - a n|
 
-so that g is continuous where the nearest face of a surface changes, and a point beside
-a surface that ends has left it. A face is a polynomial of the two coordinates of its
-reference triangle.
+and the scale s of contact, so that g is continuous where the nearest face of a surface
+changes, and a point beside a surface that ends has left it. A face is a polynomial of
+the two coordinates of its reference triangle.
 """
 
 from typing import NamedTuple
@@ -75,13 +75,15 @@ class Placed(NamedTuple):
 def placed(C, x, t, s: Float[Array, ""]) -> Placed:
     """Tell where a point lies from a face, of which it knows the foot."""
     b = jnp.stack([1.0 - t[0] - t[1], t[0], t[1]])
-    inside, within = jnp.all(b >= 0.0), jnp.maximum(b, 0.0)
+    # A foot on an edge, as matching meshes have, is inside for both faces.
+    inside, within = jnp.all(b >= -1e-9), jnp.maximum(b, 0.0)
     y, p, q = _place(C, jnp.where(inside, t, within[1:] / jnp.sum(within)))
     n, r = jnp.cross(p, q), x - y
     n = n / vector_length(n)
     along = jnp.sum(r * n)
-    away, beside = vector_length(r), vector_length(r - along * n)
-    below = along + beside - along * beside / s
+    away, down = vector_length(r), along**2
+    beside = jnp.sum((r - along * n) ** 2) * (1.0 - along / s) ** 2
+    below = (beside - down) / jnp.sqrt(jnp.maximum(beside + down, 1e-30 * s * s))
     gap = jnp.where(inside, along, jnp.where(along > 0.0, away, below))
     return Placed(gap, along, away, inside)
 

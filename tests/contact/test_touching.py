@@ -117,6 +117,19 @@ def test_two_blocks_are_as_stiff_as_one_of_both():
     np.testing.assert_allclose(contact.moment, (half, -half, 0.0), rtol=0.01, atol=1e-6)
 
 
+def test_points_that_lie_over_edges_leave_the_tangent_finite():
+    """Meshes that match have points over edges, where two faces are the nearest."""
+    mesh = two_blocks(order=1, cells=((1, 1, 2), (2, 2, 2)))
+    model = build_model(
+        mesh, LAW, density=0.0, touching=[("low", "high")], contact_scale=SCALE
+    )
+    solution = solved(model, SQUEEZE)
+    assert float(solution.rounding) < 1e-10
+    force = SIDE**2 * E * -PRESSED / (2.0 * SIDE)
+    contact = felt(model, SQUEEZE, solution)["low on high"]
+    np.testing.assert_allclose(contact.force[2], force, rtol=0.01)
+
+
 def crumpled(model, seed=0):
     """Random places of nodes, with the surfaces of two blocks in each other."""
     random = np.random.default_rng(seed)
