@@ -68,7 +68,7 @@ def swept() -> tuple[float, int]:
     """Wall time of a sweep with nothing compiled [s], and the trials that converged."""
     with measured_project() as folder:
         seconds = _run(["sweep", "sweep.toml", "--quiet"], folder)
-        return seconds, len(read_sweep(folder / "sweep.sqlite").of_state("converged"))
+        return seconds, len(read_sweep(folder / "sweep").of_state("converged"))
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -136,21 +136,21 @@ def _sweeps(home: Path, count: int, say: Callable[[str], None]):
     text = f'project = "{project.name}"\n[axes]\nnoise = {{ count = {TRIALS} }}\n'
     path.write_text(text, encoding="utf-8")
     command = lambda name: _softcal(
-        "sweep", path, "--workers", "2", "-o", home / f"{name}.sqlite"
+        "sweep", path, "--workers", "2", "-o", home / f"{name}"
     )
     _whole(command("compiled"))
     whole = _whole(command("whole"))
-    expected = _rows(home / "whole.sqlite")
+    expected = _rows(home / "whole")
     random = np.random.default_rng([SEED, 1])
     for i in range(count):
         kind = SIGNALS[i % len(SIGNALS)]
         say(f"kills: sweep {i} of {count}")
-        moment, database = random.uniform(0.0, whole.seconds), home / f"{i}.sqlite"
+        moment, folder = random.uniform(0.0, whole.seconds), home / f"{i}"
         killed = ended(command(f"{i}"), (moment, kind))
-        before = _rows(database) if database.exists() else {}
+        before = _rows(folder) if [*folder.glob("*.parquet")] else {}
         again = ended(command(f"{i}"))
         went_on = again.code == whole.code
-        after = _rows(database) if went_on else {}
+        after = _rows(folder) if went_on else {}
         yield (
             Counter(
                 done=1,
@@ -240,10 +240,12 @@ def _values(out: Path) -> dict[str, float] | None:
     return {p["name"]: p["value"] for p in result["parameters"]}
 
 
-def _rows(database: Path) -> dict[str, tuple]:
-    """Rows of a sweep by key, less the times."""
-    rows = read_sweep(database).rows
-    return {row.key: (row.state, row.reason, row.figures) for row in rows}
+def _rows(folder: Path) -> dict[str, dict[str, Any]]:
+    """Rows of a sweep by point, less the times and the places."""
+    varying = ("seconds", "compile_seconds", "worker", "ended", "traceback")
+    rows = read_sweep(folder).rows
+    same = lambda row: {name: v for name, v in row.items() if name not in varying}
+    return {row["point"]: same(row) for row in rows}
 
 
 def _last(end: Ended) -> str:

@@ -21,13 +21,13 @@ class Given(NamedTuple):
         folder: A copy of the project, which may be spoilt.
         project: Its project file.
         checkpoint: A checkpoint of its calibration, and of no other.
-        database: A database of its sweep.
+        rows: Folder of its sweep.
     """
 
     folder: Path
     project: Path
     checkpoint: Path
-    database: Path
+    rows: Path
 
 
 Kind = Callable[[Given, Random], list[str]]

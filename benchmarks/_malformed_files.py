@@ -3,7 +3,6 @@
 import math
 import os
 import shutil
-import sqlite3
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -196,23 +195,22 @@ def checkpoints_that_grow(given, random):
 
 
 @kind
-def spoilt_databases(given, random):
-    """Spoilt databases."""
-    path = given.folder / "spoilt.sqlite"
-    shutil.copyfile(given.database, path)
+def spoilt_rows(given, random):
+    """Spoilt rows of a sweep."""
+    folder = given.folder / "spoilt"
+    shutil.copytree(given.rows, folder)
+    path = folder / "rows.parquet"
+    content = bytearray(path.read_bytes())
     way = random.integers(3)
     if way == 0:
-        path.write_bytes(random.bytes(int(random.integers(1, 8192))))
+        content = random.bytes(int(random.integers(1, 8192)))
     elif way == 1:
-        content = bytearray(path.read_bytes())
-        content[0 : random.integers(16, 100)] = b"\x00" * 16
-        path.write_bytes(content)
+        begin = int(random.integers(len(content)))
+        content[begin : begin + int(random.integers(1, 100))] = b"\x00" * 16
     else:
-        name = pick(random, ["sweep", "plan", "trials"])
-        with sqlite3.connect(path) as database:
-            database.execute(f"DROP TABLE {name}")
-        database.close()
-    return ["sweep", "show", str(path)]
+        content = content[: random.integers(len(content))]
+    path.write_bytes(content)
+    return ["sweep", "show", str(folder)]
 
 
 @kind

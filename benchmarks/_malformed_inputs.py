@@ -34,7 +34,7 @@ def run(count: int, say: Callable[[str], None]) -> tuple[dict[str, Figure], list
     counts: Counter[str] = Counter(dict.fromkeys(_COUNTED, 0))
     lines: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        say("malformed_inputs: a project, its checkpoint and its database")
+        say("malformed_inputs: a project, its checkpoint and its sweep")
         run_process([*_MODULE, folder])
         for outcome in _tried(Path(folder), count):
             if outcome["index"] % 100 == 0:

@@ -28,7 +28,7 @@ TEMPLATE = "template"
 
 
 def prepare(folder: Path) -> None:
-    """Make the project without its comments, a checkpoint and a database of it."""
+    """Make the project without its comments, a checkpoint and a sweep of it."""
     path = copy_demo(folder / TEMPLATE, COARSE)
     text = path.read_text(encoding="utf-8")
     path.write_text(re.sub(r"(?m)[ \t]*#.*$", "", text), encoding="utf-8")
@@ -54,7 +54,7 @@ def given_in(folder: Path, copy: Path) -> Given:
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(folder / TEMPLATE, copy)
     project = next(copy.glob("*.toml"))
-    return Given(copy, project, folder / "fit.npz", folder / "sweep.sqlite")
+    return Given(copy, project, folder / "fit.npz", folder / "sweep")
 
 
 def tried(words: list[str]) -> dict[str, object]:

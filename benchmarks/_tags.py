@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from softcal_jax.sweeps._worker import threads_of_children
 
 from benchmarks._photographs import (
     Lens,
@@ -38,7 +39,6 @@ from softcal_jax.exchange.camera import TagPose, tag_pose
 from softcal_jax.exchange.camera._adjustment import Placement
 from softcal_jax.exchange.camera._sheet import opencv
 from softcal_jax.plotting import rendering_problem
-from softcal_jax.sweeps._worker import threads_of_children
 
 SEED = 23
 BASE, TAG, SIZE, AWAY = 0, 3, 20e-3, 0.4

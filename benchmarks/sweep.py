@@ -1,14 +1,14 @@
 """Calibrations per hour of a sweep, with one and with two worker processes.
 
 The beam of Sec. V: 525 nodes, print plane upright, four configurations, six parameters,
-one start and a draw of noise per trial. The sweep runs twice with an empty database:
+one start and a draw of noise per trial. The sweep runs twice with an empty folder:
 with one worker and nothing compiled before, then with two that find what the first one
 compiled. A rate counts from when every worker has ended its first trial, since that one
 compiles; the wait for it is a figure of its own. Rows must be the same, bit for bit.
 
 The same sweep with one worker of the commit `BEFORE` takes turns with this one, so that
 their ratio does not depend on the day. Last, how many rows a second are written where
-the trials take no time: into a database, and in parts of ten million planned trials.
+the trials take no time: of a whole sweep, and of parts of ten million planned trials.
 """
 
 import os
@@ -30,7 +30,6 @@ from softcal_jax.sweeps import (
     Trial,
     grid,
     load_sweep,
-    run_part,
     run_sweep,
 )
 
@@ -152,7 +151,7 @@ class Swept(NamedTuple):
         began: When every worker had ended its first trial [s].
         bytes_out: Size of what a worker is sent for a trial.
         bytes_back: Size of the row that it sends back.
-        bytes_kept: Size of the database.
+        bytes_kept: Size of the folder.
     """
 
     result: SweepResult
@@ -191,7 +190,7 @@ def run(options: Options) -> Outcome:
         "not_converged": TRIALS - len(two.result.of_state("converged")),
         "bytes_to_a_worker_per_trial": one.bytes_out,
         "bytes_from_a_worker_per_trial": one.bytes_back,
-        "database_bytes_per_row": one.bytes_kept / TRIALS,
+        "folder_bytes_per_row": one.bytes_kept / TRIALS,
         "trials_per_core_hour_over_before": ratio(rates["before"], rates["now"]),
         "rows_per_second_limit": rows_per_second(QUICK_TRIALS),
         "part_rows_per_second": parts_per_second(),
@@ -226,7 +225,7 @@ def _cache(folder: Path) -> Iterator[None]:
 
 
 def sweep(folder: Path, workers: int, trials: int = TRIALS) -> Swept:
-    """Run the sweep in a folder, with a database of its own."""
+    """Run the sweep in a folder, with rows of its own."""
     (folder / "project.toml").write_text(PROJECT)
     path = folder / "sweep.toml"
     path.write_text(SWEEP.format(trials))
@@ -237,18 +236,18 @@ def sweep(folder: Path, workers: int, trials: int = TRIALS) -> Swept:
     def progress(now: Progress) -> None:
         if now.row is not None:
             ended.append(time.perf_counter() - begin)
-            first.setdefault(now.row.worker, ended[-1])
+            first.setdefault(now.row["worker"], ended[-1])
 
     begin = time.perf_counter()
-    database = folder / f"{workers}.sqlite"
-    result = loaded.run(database, workers=workers, progress=progress)
+    rows = folder / f"{workers}"
+    result = loaded.run(rows, workers=workers, progress=progress)
     return Swept(
         result,
         ended,
         max(first.values()),
         len(pickle.dumps((loaded.function, Trial(loaded.points[0])))),
         len(pickle.dumps(result.rows[0])),
-        database.stat().st_size,
+        sum(file.stat().st_size for file in rows.iterdir()),
     )
 
 
@@ -257,7 +256,7 @@ def rows_per_second(trials: int) -> float:
     points = grid({"i": range(trials)})
     with TemporaryDirectory() as folder:
         begin = time.perf_counter()
-        run_sweep(_nothing, points, Path(folder) / "quick.sqlite", workers=0)
+        run_sweep(_nothing, points, Path(folder), workers=0)
         return trials / (time.perf_counter() - begin)
 
 
@@ -268,7 +267,7 @@ def parts_per_second() -> float:
     with TemporaryDirectory() as folder:
         begin = time.perf_counter()
         for k in range(0, of, of // PARTS_RUN):
-            run_part(_nothing, points, folder, part=k, of=of, workers=0)
+            run_sweep(_nothing, points, folder, part=(k, of), workers=0)
         seconds = time.perf_counter() - begin
     return PARTS_RUN * PART_TRIALS / seconds
 
@@ -306,8 +305,9 @@ def _nothing(trial: Trial) -> dict[str, float]:
 
 def differing(one: SweepResult, other: SweepResult) -> int:
     """How many rows are not the same in two results."""
-    rows = {row.key: (row.state, row.reason, row.figures) for row in one.rows}
-    return sum(rows[r.key] != (r.state, r.reason, r.figures) for r in other.rows)
+    columns = [*one.axes, "state", "reason", *one.figures]
+    pairs = (result.table.select(columns).to_pylist() for result in (one, other))
+    return sum(row != again for row, again in zip(*pairs, strict=True))
 
 
 def plot(swept: Sequence[Swept], path: Path) -> None:
@@ -327,7 +327,7 @@ def plot(swept: Sequence[Swept], path: Path) -> None:
     most = max(len(curve.ended) for curve in swept)
     axes.set(xlim=(0, None), ylim=(0, 1.25 * most))  # room for the legend
     axes.set_xlabel("time [s]", fontsize=14)
-    axes.set_ylabel("rows in the database", fontsize=14)
+    axes.set_ylabel("rows in the folder", fontsize=14)
     axes.tick_params(labelsize=12)
     axes.grid(True, color="#dddddd", lw=0.8)
     axes.legend(fontsize=13, loc="upper left")

@@ -61,7 +61,7 @@ def _shown(n: float) -> str:
 
 # Tets of a mesh; a million quadratic ones take more than 10 GB to solve.
 TETS = Limit("SOFTCAL_MAX_TETS", 2_000_000, "tets")
-# Trials of a sweep in one database or part, and starts of a calibration.
+# Trials of a sweep or a part of one, and starts of a calibration.
 TRIALS = Limit("SOFTCAL_MAX_TRIALS", 100_000, "trials")
 # Trials of a sweep that runs in parts.
 PLANNED = Limit("SOFTCAL_MAX_PLANNED", 10_000_000, "trials")

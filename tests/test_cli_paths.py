@@ -137,11 +137,11 @@ def test_foam_from_anywhere(run):
 def test_sweeps_from_anywhere(top, run):
     """With an axis that is a key of a configuration with a dot in its name."""
     sweep = ["sweep", f"../{PROJECT}/swe ep.toml", "--workers", "0"]
-    run("sib ling", *sweep, "-o", "da ten.sqlite")
+    run("sib ling", *sweep, "-o", "da ten")
     shown = ["--csv", "zei len.csv", "--plot", "bi ld.png"]
-    assert "1 %" in run("sib ling", "sweep", "show", "da ten.sqlite", *shown)
+    assert "1 %" in run("sib ling", "sweep", "show", "da ten", *shown)
     lines = (top / "sib ling/zei len.csv").read_text().splitlines()
     (header, *_) = csv.reader(lines)
     assert f"configurations.{NAME}.relative_std" in header
     run(PROJECT, "sweep", "swe ep.toml", "--workers", "0", "--part", "1", "--of", "2")
-    assert (top / PROJECT / "swe ep/part-1-of-2.parquet").is_file()
+    assert (top / PROJECT / "swe ep/rows-1-of-2.parquet").is_file()

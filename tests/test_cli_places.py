@@ -97,10 +97,8 @@ FILES = {
     "mesh file": ["new", "out", "--model", "HERE"],
     "job": ["export", "inp", "results", "-o", "HERE", "--force"],
     "sweep file": ["sweep", "HERE"],
-    "database": ["sweep", "sweep.toml", "-o", "HERE"],
-    "sweep database": ["sweep", "show", "HERE"],
-    "plot": ["sweep", "show", "sweep.sqlite", "--plot", "HERE"],
-    "table": ["sweep", "show", "sweep.sqlite", "--csv", "HERE"],
+    "plot": ["sweep", "show", "swept", "--plot", "HERE"],
+    "table": ["sweep", "show", "swept", "--csv", "HERE"],
     "sheet": ["tags", "-o", "HERE", "--force"],
     "foam": ["export", "icesl", "project.toml", "-o", "out", "--table", "HERE"],
 }
@@ -123,11 +121,12 @@ def test_a_directory_is_no_file(tmp_path, capsys, monkeypatch, what, place):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("what", ["picture", "checkpoint", "job", "database", "sheet"])
+@pytest.mark.parametrize("what", ["picture", "checkpoint", "job", "sweep", "sheet"])
 def test_a_file_needs_a_folder(tmp_path, capsys, monkeypatch, what):
     write_small_project(tmp_path)
     (tmp_path / "sweep.toml").write_text('project = "project.toml"\n[axes]\nstart=[0]')
     monkeypatch.chdir(tmp_path)
-    words = [word.replace("HERE", "none/a") for word in FILES[what]]
+    given = {**FILES, "sweep": ["sweep", "sweep.toml", "-o", "HERE"]}[what]
+    words = [word.replace("HERE", "none/a") for word in given]
     assert main(words) == 2
     assert says(capsys.readouterr().err, "folder none of", "does not exist: make it")

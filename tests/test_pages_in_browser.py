@@ -94,10 +94,10 @@ def sweep(folder: Path) -> Path:
         return Outcome(figures, E > 2.1e5, notes=["E ended on its bound."])
 
     axes = {"material.E": Range(2e5, 3e5), "layout": ["few", "many, evenly spread"]}
-    database = folder / "sweep.sqlite"
+    rows = folder / "sweep"
     points = sample(axes, 24)
-    result = run_sweep(trial, points, database, name="stiffness", workers=0)
-    return write_sweep(result, database)
+    result = run_sweep(trial, points, rows, name="stiffness", workers=0)
+    return write_sweep(result, rows)
 
 
 def inverse(folder: Path) -> Path:

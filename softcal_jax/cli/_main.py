@@ -38,7 +38,7 @@ examples:
   softcal export sofa results -o scene    a scene of SOFA, calibrated again for it
   softcal export icesl results -o print   its moduli as graded foam, to be printed
   softcal sweep sweep.toml                many calibrations, side by side
-  softcal sweep show sweep.sqlite         what they found
+  softcal sweep show sweep                what they found
   softcal tags -o tags.pdf                tags to print and photograph
 
 exit codes:

@@ -1,7 +1,8 @@
 """`softcal sweep`: many calibrations, side by side; `softcal sweep show`."""
 
 import argparse
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +10,11 @@ from softcal_jax.cli import _shared as cli
 from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
-    from softcal_jax.sweeps import Progress, Sweep, TrialRow
+    from softcal_jax.sweeps import Progress
 
 MOST_SHOWN = 4  # figures of a trial in its line; its row holds all
-_OPTIONS = "workers", "cores_per_worker", "scheduler"  # say where trials run
+_OPTIONS = "workers", "cores_per_worker", "retry_failed"
+_OF_ROW = "state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended"
 _SWEEP = """\
 A sweep file names a project file and the axes of the sweep:
 
@@ -25,10 +27,11 @@ A sweep file names a project file and the axes of the sweep:
   noise = { count = 20 }            # draws added to what is fitted; 0 adds none
   "material.nu" = [0.3, 0.4]        # any key of the project file
 
-Each trial becomes a row of an SQLite file as soon as it ends. To resume a sweep that
-was stopped or killed, run the same command again. Its page is written beside the
-database: sweep_report.html for sweep.sqlite. More than 100 000 trials run in parts, as
-jobs of a cluster: --part 17 --of 1000 writes one Parquet file into a folder.
+Each trial becomes a row of a Parquet file, in the folder sweep, as soon as it ends. To
+resume a sweep that was stopped or killed, run the same command again. Its page is
+written beside the folder: sweep_report.html for sweep. More than 100 000 trials run in
+parts, as jobs of a cluster: all write into one folder, --part 17 --of 1000 a file of
+its own.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
 130 interrupted: the rows so far are kept
@@ -36,10 +39,10 @@ exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad inp
 
 _SHOW = """\
 examples:
-  softcal sweep show sweep.sqlite                     means over starts and noise
-  softcal sweep show sweep.sqlite --all               every trial
-  softcal sweep show sweep.sqlite --by layout --plot layouts.pdf
-  softcal sweep show sweep.sqlite --figure steps --figure "fit rms [m]"
+  softcal sweep show sweep                     means over starts and noise
+  softcal sweep show sweep --all               every trial
+  softcal sweep show sweep --by layout --plot layouts.pdf
+  softcal sweep show sweep --figure steps --figure "fit rms [m]"
 """
 
 
@@ -62,37 +65,35 @@ def sweep(args: argparse.Namespace, show: cli.Display) -> None:
         loaded = load_sweep(args.sweep)
         if (args.part is None) != (args.of is None):
             raise ValueError("--part and --of go together: --part 17 --of 1000.")
-        database = args.output or loaded.database
-        if args.part is not None and args.retry_failed:
-            raise ValueError(
-                "--retry-failed is for a database: remove the file of a part, and it "
-                "is run again."
-            )
+        folder = args.output or loaded.folder
+        options = {key: vars(args)[key] for key in _OPTIONS}
+        options["executor"] = args.scheduler
         if args.part is None:
-            check_sweep_page(database)
+            check_sweep_page(folder)
+        else:
+            options["part"] = (args.part, args.of)
     show.lap("reading")
-    options = {key: vars(args)[key] for key in _OPTIONS}
-    options["progress"] = _progress_lines(show)
-    if args.part is not None:
-        _part(args, show, loaded, options)
-        return
+    options["progress"] = _progress_lines(show, tuple(loaded.points[0]))
     try:
         with cli.bad_input(RuntimeError):
-            result = loaded.run(database, retry_failed=args.retry_failed, **options)
+            result = loaded.run(folder, **options)
     except KeyboardInterrupt:
-        text = f"interrupted: the same command resumes from {database}."
-        with suppress(OSError, ValueError):  # as on a full disk, or without a database
-            result = read_sweep(database)
-            page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
-            text += f" {len(result.rows)} of {len(loaded.points)} trials are in {page}."
+        text = f"interrupted: the same command resumes from {folder}."
+        if args.part is None:
+            with suppress(OSError, ValueError):  # as on a full disk, or without a row
+                result = read_sweep(folder)
+                page = write_sweep(result, folder, sweep=loaded, timing_s=show.laps)
+                ended = f"{len(result.rows)} of {len(loaded.points)} trials"
+                text += f" {ended} are in {page}."
         raise cli.Stop(cli.INTERRUPTED, text) from None
     show.lap("trials")
     show.line()
-    with cli.bad_input():  # rows that were edited
+    with cli.bad_input():  # a page that cannot be written
         show.line(console(sweep_sections(result)))
-        show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
-        page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
-    show.line(f"Report: open {page} in a browser.")
+        show.line(f"Rows in {folder}; `softcal sweep show {folder}` shows more.")
+        if args.part is None:
+            page = write_sweep(result, folder, sweep=loaded, timing_s=show.laps)
+            show.line(f"Report: open {page} in a browser.")
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
@@ -100,33 +101,9 @@ def sweep(args: argparse.Namespace, show: cli.Display) -> None:
         raise cli.Stop(cli.NOT_CONVERGED, text)
 
 
-def _part(
-    args: argparse.Namespace,
-    show: cli.Display,
-    loaded: "Sweep",
-    options: dict[str, Any],
-) -> None:
-    """Run one part of a large sweep, without a page."""
-    folder = args.output or loaded.path.with_suffix("")
-    try:
-        with cli.bad_input(RuntimeError):
-            path = loaded.run_part(folder, part=args.part, of=args.of, **options)
-    except KeyboardInterrupt:
-        text = "interrupted: this part was not written; run it again from the start."
-        raise cli.Stop(cli.INTERRUPTED, text) from None
-    from pyarrow.parquet import read_table
-
-    show.lap("trials")
-    show.line(f"Rows in {path}.")
-    show.times()
-    states = read_table(path, columns=["state"])["state"].to_pylist()
-    bad = sum(state != "converged" for state in states)
-    if bad:
-        text = f"{bad} of {len(states)} trials failed or did not converge; remove "
-        raise cli.Stop(cli.NOT_CONVERGED, f"{text}{path.name} to run this part again.")
-
-
-def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
+def _progress_lines(
+    show: cli.Display, axes: Sequence[str]
+) -> "Callable[[Progress], None]":
     """Return a callback that prints each trial as it ends, and says how many have."""
 
     def progress(now: "Progress") -> None:
@@ -136,30 +113,38 @@ def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
             show.note(f"{now.total} trials{done}")
             what += ", the first trial compiles"
         else:
-            show.document(_row_dict(now.row), indent=None)
-            show.note(_row_line(now.row))
+            row = _row_dict(now.row, axes)
+            show.document(row, indent=None)
+            show.note(_row_line(row))
         if now.ended < now.total:
             show.now(what, log=False, count=(now.ended, now.total))
 
     return progress
 
 
-def _row_dict(row: "TrialRow") -> dict[str, Any]:
-    return {key: v for key, v in vars(row).items() if key not in ("key", "traceback")}
+def _row_dict(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Any]:
+    """Return a row with its point and its figures apart."""
+    point = json.loads(row["point"])
+    others = {*axes, *_OF_ROW, "traceback", "point"}
+    return {
+        "point": {axis: point[axis] for axis in axes},
+        "figures": {name: v for name, v in row.items() if name not in others},
+        **{name: row[name] for name in _OF_ROW},
+    }
 
 
-def _row_line(row: "TrialRow") -> str:
+def _row_line(row: Mapping[str, Any]) -> str:
     """Write how a trial ended: its point, then its figures or why it failed."""
-    point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
-    if row.state == "failed":
-        return f"failed: {point}: {row.reason.splitlines()[0]}"
+    point = ", ".join(f"{axis} = {value}" for axis, value in row["point"].items())
+    if row["state"] == "failed":
+        return f"failed: {point}: {row['reason'].splitlines()[0]}"
     figures = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in row.figures.items()
+        for name, value in row["figures"].items()
         if value is not None
     ]
     shown = ", ".join(figures[:MOST_SHOWN])
-    return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
+    return f"{row['state']}: {point}: {shown} ({row['seconds']:.1f} s)"
 
 
 def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
@@ -170,9 +155,10 @@ def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
 
     cli.check_new(*filter(None, (args.csv, args.plot)), force=True)
     with cli.bad_input():
-        result = read_sweep(args.database)
+        result = read_sweep(args.folder)
         chosen = {"by": args.by, "figures": args.figure}
-        show.document({"name": result.name, "rows": [*map(_row_dict, result.rows)]})
+        rows = [_row_dict(row, result.axes) for row in result.rows]
+        show.document({"name": result.name, "rows": rows})
         tree = sweep_sections(result, **chosen, every=args.all)
         show.line(console(tree))
         if args.csv is not None:
@@ -195,11 +181,10 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
         epilog=_SWEEP,
     )
     cli.add_path(run, "sweep", "SWEEP.toml", "the sweep file")
-    where = "database for the rows (default: SWEEP.sqlite, beside the sweep file), or "
-    where += "with --part the folder for the parts (default: SWEEP)"
-    cli.add_path(run, "--output", "FILE", where)
-    text = "run this one of --of N parts, from 0, and write a Parquet file: more than "
-    text += "100 000 trials, as jobs of a cluster"
+    where = "folder for the rows (default: SWEEP, beside the sweep file)"
+    cli.add_path(run, "--output", "DIR", where)
+    text = "run this one of --of N parts, from 0, for more than 100 000 trials, as "
+    text += "jobs of a cluster that share the folder"
     run.add_argument("--part", metavar="K", type=int, help=text)
     number = {"metavar": "N", "type": int}
     run.add_argument("--of", **number, help="number of parts")
@@ -220,7 +205,7 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
         description="Tabulates the rows of a sweep, and draws them if asked to.",
         epilog=_SHOW,
     )
-    cli.add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
+    cli.add_path(table, "folder", "SWEEP", "the folder of the sweep")
     for flag, metavar, what in (
         ("--by", "AXIS", "group trials by this axis (repeat for several)"),
         ("--figure", "NAME", "show this figure (repeat for several)"),

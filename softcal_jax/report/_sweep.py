@@ -1,11 +1,11 @@
-"""What a sweep found, and its page, beside its database."""
+"""What a sweep found, and its page, beside its folder."""
 
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -14,22 +14,7 @@ from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdic
 from softcal_jax._units import is_number, readable_values
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.report._html import REPEATED, closing, node, page
-from softcal_jax.sweeps import (
-    FIT,
-    HELD_OUT,
-    OUT_OF_RANGE,
-    State,
-    Sweep,
-    SweepResult,
-    TrialRow,
-    default_figures,
-    describe,
-    figure_name,
-    figure_values,
-    figures_of_the_robot,
-    plot_sweep,
-    shown,
-)
+from softcal_jax.sweeps import Sweep, SweepResult, figure_name, plot_sweep
 
 KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
 MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
@@ -38,6 +23,8 @@ MOST_BEST, MOST_VALUES = 5, 8  # most trials among the best, and most values of 
 
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
+
+Row = Mapping[str, Any]
 
 _TONES: dict[str, Tone] = {
     "converged": "plain",
@@ -68,10 +55,10 @@ def sweep_sections(
     good = len(result.of_state("converged"))
     bad = len(result.rows) - good
     tone: Tone = "plain" if not bad else "doubtful" if good else "bad"
-    chosen = default_figures(result)[:MOST_COLUMNS]
+    chosen = result.numeric_figures[:MOST_COLUMNS]
     if figures is not None:
         chosen = [result.figure(name) for name in figures]
-    others = [name for name in result.figure_names if name not in chosen]
+    others = [name for name in result.figures if name not in chosen]
     said = [f"Also kept: {', '.join(others)} (--figure NAME)."] if others else []
     if every:
         shown_rows = trial_table("Trials", result, chosen, result.rows)
@@ -99,17 +86,17 @@ def trial_table(
     title: str,
     result: SweepResult,
     figures: Sequence[str],
-    rows: Sequence[TrialRow],
+    rows: Sequence[Row],
 ) -> Table:
     """Tabulate figures of some trials."""
-    points = {axis: [shown(row.point[axis]) for row in rows] for axis in result.axes}
+    points = {axis: [_shown(row[axis]) for row in rows] for axis in result.axes}
     columns = [
         *(Column(axis, values) for axis, values in points.items()),
-        Column("outcome", [Value(row.state, tone=_TONES[row.state]) for row in rows]),
-        Column("time", [row.seconds for row in rows], "time"),
+        Column("outcome", [Value(r["state"], tone=_TONES[r["state"]]) for r in rows]),
+        Column("time", [row["seconds"] for row in rows], "time"),
     ]
     for figure in figures:
-        values = [row.figures.get(figure) for row in rows]
+        values = [row[figure] for row in rows]
         columns.append(_column(result, figure, values))
     return Table(title, tuple(columns))
 
@@ -136,7 +123,7 @@ def _mean_table(
         "to do": [len(part.missing) for _, part in groups],
     }
     columns = [
-        Column(axis, [shown(point[axis]) for point, _ in groups]) for axis in axes
+        Column(axis, [_shown(point[axis]) for point, _ in groups]) for axis in axes
     ]
     columns += [
         Column(name, n, "count")
@@ -151,10 +138,7 @@ def _mean_table(
 
 def _mean(part: SweepResult, figure: str, unit: str | None = None) -> Value:
     """Return the mean of a figure, and the standard deviation of several values."""
-    if any(row.figures.get(figure) == OUT_OF_RANGE for row in part.rows):
-        return Value(OUT_OF_RANGE)
-    values = figure_values(part.of_state("converged"), figure)
-    values = values[np.isfinite(values)]
+    values = part.numbers(figure)
     mean = float(np.mean(values)) if values.size else None
     spread = float(np.std(values, ddof=1)) if values.size > 1 else np.nan
     alike = mean and spread < ROUNDING * abs(mean)
@@ -177,24 +161,24 @@ def _doubts(result: SweepResult) -> Iterator[str]:
 
 def _headline(result: SweepResult) -> str:
     """Say how many trials have ended, and how."""
-    n, total = len(result.states), len({*result.states, *result.planned})
-    counts = Counter(result.states.values())
-    how = (f"{counts[s]} {s}" for s in get_args(State) if counts[s])
+    n, total = len(result.rows), len(result.rows) + len(result.missing)
+    counts = Counter(row["state"] for row in result.rows)
+    how = (f"{counts[state]} {state}" for state in _TONES if counts[state])
     ended = f": {', '.join(how)}" if n else ""
     return f"{n} of {total} trials have ended{ended}."
 
 
-def _trouble(result: SweepResult) -> tuple[tuple[State, str], ...]:
+def _trouble(result: SweepResult) -> tuple[tuple[str, str], ...]:
     """Say why trials failed or did not converge, each reason once, after the state."""
-    rows: dict[tuple[State, str], list[TrialRow]] = {}
+    rows: dict[tuple[str, str], list[Row]] = {}
     for row in result.rows:
-        if row.state != "converged":
-            first, *more = row.reason.strip().splitlines() or [""]
+        if row["state"] != "converged":
+            first, *more = row["reason"].strip().splitlines() or [""]
             reason = first + (" ..." if more else "")
-            rows.setdefault((row.state, reason), []).append(row)
+            rows.setdefault((row["state"], reason), []).append(row)
     many = lambda n: "1 trial" if n == 1 else f"{n} trials, the first"
     return tuple(
-        (state, f"{many(len(alike))} at {describe(alike[0].point)}: {reason}")
+        (state, f"{many(len(alike))} at {_point(result, alike[0])}: {reason}")
         for (state, reason), alike in rows.items()
     )
 
@@ -202,23 +186,23 @@ def _trouble(result: SweepResult) -> tuple[tuple[State, str], ...]:
 def _notes(result: SweepResult) -> tuple[str, ...]:
     """Return the notes of trials that converged, each with the number of these."""
     rows = result.of_state("converged")
-    counts = Counter(note for row in rows for note in row.notes)
+    counts = Counter(note for row in rows for note in row["notes"])
     many = lambda n: "1 trial" if n == 1 else f"{n} trials"
     return tuple(f"{note} ({many(n)})" for note, n in counts.items())
 
 
 def _varied_table(result: SweepResult) -> Table:
     """Tabulate the axes, with their values."""
-    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    points = [*result.rows, *result.missing]
     rows = []
     for axis in result.axes:
         values = [point[axis] for point in points]
-        texts = list(dict.fromkeys(map(shown, values)))
+        texts = list(dict.fromkeys(map(_shown, values)))
         listed = "; ".join(texts[:MOST_VALUES])
         if len(texts) > MOST_VALUES:
             listed += "; ..."
             if all(map(is_number, values)):
-                listed = f"from {shown(min(values))} to {shown(max(values))}"
+                listed = f"from {_shown(min(values))} to {_shown(max(values))}"
         repeats = "repetition" if axis in result.repeats else "factor"
         rows.append((axis, repeats, len(texts), listed))
     return Table.of("Axes", "axis | kind | values | which", rows)
@@ -230,11 +214,10 @@ def _best_trials(result: SweepResult) -> tuple[tuple[Table, ...], tuple[str, ...
     Returns:
         A table, and the smallest error and its point in words; nothing without errors.
     """
-    figures = figures_of_the_robot(result)
-    error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
+    error = result.error_figure
     if error is None:
         return (), ()
-    values = figure_values(result.rows, error)
+    values = result.values(error)
     order = [
         i for i in np.argsort(values, kind="stable").tolist() if values[i] == values[i]
     ]
@@ -242,14 +225,14 @@ def _best_trials(result: SweepResult) -> tuple[tuple[Table, ...], tuple[str, ...
     words, unit = figure_name(error)
     least = readable_values([float(values[order[0]])], unit).rstrip()
     text = f"The lowest {words} of {len(order)} trials is {least}, "
-    table = trial_table("Best trials", result, figures, ranked)
-    return (table,), (f"{text}at {describe(ranked[0].point)}.",)
+    table = trial_table("Best trials", result, result.robot_figures, ranked)
+    return (table,), (f"{text}at {_point(result, ranked[0])}.",)
 
 
 def _spread_table(result: SweepResult) -> Table:
     """Tabulate each figure over all trials that converged."""
     rows = []
-    for figure in default_figures(result):
+    for figure in result.numeric_figures:
         (name, unit), values = figure_name(figure), result.numbers(figure)
         ends = values.min(), np.median(values), values.max()
         unit = unit.strip("-")
@@ -259,44 +242,54 @@ def _spread_table(result: SweepResult) -> Table:
     return Table.of("Figures of the trials", heads, rows, digits=5)
 
 
-def sweep_page_of(database: str | os.PathLike[str]) -> Path:
-    """Return where the page of a sweep is: sweep_report.html beside sweep.sqlite."""
-    database = Path(database)
-    return database.parent / f"{database.stem}_report.html"
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def check_sweep_page(database: str | os.PathLike[str]) -> None:
+def _point(result: SweepResult, row: Row) -> str:
+    """Write the point of a row in words."""
+    return ", ".join(f"{axis} = {_shown(row[axis])}" for axis in result.axes)
+
+
+def sweep_page_of(folder: str | os.PathLike[str]) -> Path:
+    """Return where the page of a sweep is: beside its folder."""
+    folder = Path(folder)
+    folder = folder if folder.name else folder.absolute()
+    return folder.parent / f"{folder.name}_report.html"
+
+
+def check_sweep_page(folder: str | os.PathLike[str]) -> None:
     """Raise unless the page of a sweep can be written; call it before a long run.
 
     Raises:
         FileExistsError: If another file has the name of the page.
     """
-    path = sweep_page_of(database)
+    path = sweep_page_of(folder)
     if not path.exists():
         return
     head = path.read_bytes()[:200_000] if path.is_file() else b""
     if str(node("p", KIND, class_="kind")).encode() not in head:
         raise FileExistsError(
             f"{path} is not a page of a sweep and would be overwritten. Move it away, "
-            "or give the database another name."
+            "or give the folder another name."
         )
 
 
 def write_sweep(
     result: SweepResult,
-    database: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
     *,
     sweep: Sweep | None = None,
     timing_s: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write the page of a sweep beside its database, whole or not at all.
+    """Write the page of a sweep beside its folder, whole or not at all.
 
     Trials that failed or did not converge are in no mean or chart. With `sweep`, the
     page also has settings, files with their SHA-256 and the command that repeats it.
 
     Args:
         result: The sweep, finished or not.
-        database: Its SQLite file; the page of `sweep.sqlite` is `sweep_report.html`.
+        folder: That of its rows; the page of `sweep` is `sweep_report.html`.
         sweep: The sweep file as it was loaded; None for a function of your own.
         timing_s: Wall time per part [s].
 
@@ -307,19 +300,19 @@ def write_sweep(
         FileExistsError: If another file has the name of the page.
         OSError: If the page cannot be written.
     """
-    check_sweep_page(database)
-    path, database = sweep_page_of(database), Path(database)
-    made = made_dict(None if sweep is None else sweep.made, database.parent)
-    data = {**made, "timing_s": timing_s or {}, "files": [database.name]}
-    files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
-    figures = figures_of_the_robot(result)
+    check_sweep_page(folder)
+    path, folder = sweep_page_of(folder), Path(folder)
+    made = made_dict(None if sweep is None else sweep.made, folder.parent)
+    data = {**made, "timing_s": timing_s or {}, "files": [folder.name]}
+    files = [] if sweep is None else [file_dict(sweep.file, folder.parent)]
+    figures = result.robot_figures
     repeated = any(len(part.rows) > 1 for _, part in result.groups())
     tree = sweep_sections(result, figures=figures)
     tree = [s for s in tree if s.key != "means" or repeated]
     tree += _axes(result, figures)
     tree += [_trials(result, figures)] if result.rows else []
-    tree += closing("sweep", data, files=files, out=f"{REPEATED}.sqlite")
-    text = page(result.name, KIND, tree, index=database.name, units="SI")
+    tree += closing("sweep", data, files=files, out=REPEATED)
+    text = page(result.name, KIND, tree, index=folder.name, units="SI")
     with replacing(path) as partial_file:
         partial_file.write_text(text, encoding="utf-8")
     return path
@@ -329,7 +322,7 @@ def _axes(result: SweepResult, figures: Sequence[str]) -> Iterator[Section]:
     """Draw the trials over each axis; what has one value in all shows nothing there."""
     good = result.of_state("converged")
     figures = [f for f in figures[:MOST_CHARTED] if np.ptp(result.numbers(f)) > 0.0]
-    axes = [a for a in result.axes if len({shown(row.point[a]) for row in good}) > 1]
+    axes = [a for a in result.axes if len({row[a] for row in good}) > 1]
     for k, axis in enumerate(axes if figures else ()):
         title = f"{', '.join(figure_name(f)[0] for f in figures)} over {axis}"
         plot = partial(plot_sweep, result, by=[axis], figures=figures)
@@ -340,7 +333,7 @@ def _axes(result: SweepResult, figures: Sequence[str]) -> Iterator[Section]:
 def _trials(result: SweepResult, figures: Sequence[str]) -> Section:
     words = []
     if (more := len(result.rows) - MOST_TRIALS) > 0:
-        text = "more are in the database; softcal sweep show lists all of them with"
+        text = "more are in the folder; softcal sweep show lists all of them with"
         words.append(f"{more} {text} --all.")
     if not_drawn := figures[MOST_CHARTED:]:
         words.append(f"In this table but not plotted: {', '.join(not_drawn)}.")

@@ -28,15 +28,15 @@ from softcal_jax.project import (
     read_toml,
     suggestion,
 )
-from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._row import (
+from softcal_jax.sweeps._calibration import (
     OWN_AXES,
     CalibrationTrial,
     file_digest,
     file_keys,
     truth_in_si,
 )
-from softcal_jax.sweeps._run import run_part, run_sweep
+from softcal_jax.sweeps._result import SweepResult
+from softcal_jax.sweeps._run import run_sweep
 from softcal_jax.sweeps._trial import Points, Range, grid, sample
 
 REPEATS = ("start", "noise")  # axes whose values are mere repetitions
@@ -92,46 +92,34 @@ class Sweep:
     made: Made
 
     @property
-    def database(self) -> Path:
-        """Default SQLite file of the rows: beside the sweep file."""
-        return self.path.with_suffix(".sqlite")
+    def folder(self) -> Path:
+        """Default folder of the rows: that of the sweep file's name, beside it."""
+        return self.path.with_suffix("")
 
     def run(
-        self, database: str | os.PathLike[str] | None = None, **options: Any
+        self, folder: str | os.PathLike[str] | None = None, **options: Any
     ) -> SweepResult:
-        """Run all trials that are not in the database yet, see `run_sweep`.
+        """Run all trials that have no row in the folder yet, see `run_sweep`.
 
         Args:
-            database: SQLite file; by default that beside the sweep file.
-            options: `workers`, `cores_per_worker`, `scheduler`, `retry_failed` and
-                `progress` of `run_sweep`. Workers of a Dask scheduler must find the
-                project file under the same path.
+            folder: Folder of the rows; by default that of the sweep file's name.
+            options: `executor`, `workers`, `cores_per_worker`, `part`, `retry_failed`
+                and `progress` of `run_sweep`. Workers elsewhere must find the project
+                file under the same path.
 
         Raises:
             ValueError, OSError, RuntimeError: See `run_sweep`.
         """
-        path = self.database if database is None else database
-        about = {**self._about, "name": self.name}
-        return run_sweep(self.function, self.points, path, **about, **options)
-
-    def run_part(
-        self, folder: str | os.PathLike[str], *, part: int, of: int, **options: Any
-    ) -> Path:
-        """Run one of several parts, and write its rows to a folder, see `run_part`.
-
-        Raises:
-            ValueError, ImportError, OSError, RuntimeError: See `run_part`.
-        """
-        about = {**self._about, "part": part, "of": of}
-        return run_part(self.function, self.points, folder, **about, **options)
-
-    @property
-    def _about(self) -> dict[str, Any]:
-        return {
-            "seed": self.seed,
-            "repeats": [axis for axis in REPEATS if axis in self.points[0]],
-            "definitions": self.definitions,
-        }
+        return run_sweep(
+            self.function,
+            self.points,
+            self.folder if folder is None else folder,
+            name=self.name,
+            seed=self.seed,
+            repeats=[axis for axis in REPEATS if axis in self.points[0]],
+            definitions=self.definitions,
+            **options,
+        )
 
 
 def load_sweep(path: str | os.PathLike[str]) -> Sweep:

@@ -1,11 +1,11 @@
-"""Rows of a sweep so far and their groups, as CSV and as a picture."""
+"""What a sweep has found so far, its groups, as CSV and as a picture."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,17 +16,21 @@ from softcal_jax._units import is_number
 from softcal_jax.export import write_rows
 from softcal_jax.plotting import COLUMN, PictureStyle, draw_trials, plot_panels
 from softcal_jax.project import parse_in_si
-from softcal_jax.sweeps._row import (
-    FIT,
-    HELD_OUT,
-    ON_BOUND,
-    TO_TRUTH,
-    State,
-    TrialRow,
-    flat_columns,
-    is_of_the_fit,
-)
-from softcal_jax.sweeps._trial import shown
+from softcal_jax.sweeps._trial import COLUMNS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+State = Literal["converged", "not converged", "failed"]
+
+Row = dict[str, Any]  # a row of the table, by column
+
+FIT, HELD_OUT = "fit rms [m]", "held-out rms [m]"  # figures of how far the model is off
+STEPS, COST, ERROR = "steps", "cost [-]", "standard error of"
+TO_TRUTH = "distance to truth [-]"  # a figure of trials to which the truth applies
+ON_BOUND = "on a bound"  # a figure in words: parameters that ended on one of theirs
+
+MOST_PANELS = 4  # figures in a picture
 
 
 def figure_name(name: str) -> tuple[str, str]:
@@ -35,50 +39,87 @@ def figure_name(name: str) -> tuple[str, str]:
     return (match[1], match[2]) if match else (name, "")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SweepResult:
     """Rows of a sweep, finished or not.
+
+    Columns of a row are the axes, then its end, then figures, in SI: `state`
+    ("converged", "not converged" or "failed"), `reason` of the last two, `seconds` of
+    wall time, `compile_seconds` of it that JAX took to compile, `worker` (machine and
+    process), `ended` (in UTC), `notes` to know before figures are used, `traceback`,
+    and `point`, all axes as JSON.
 
     Attributes:
         name: Its name.
         axes: Names of its axes.
         repeats: Axes whose values are mere repetitions, like draws of noise.
-        planned: Points that are planned, by key, in their order.
-        states: How trials ended, by key, in the order of the plan; trials that only an
-            earlier plan had come last.
-        ended: Rows of these trials, by key in the same order.
+        table: Trials that have ended, a row for each, in the order of the plan; those
+            that only an earlier plan had come last.
+        missing: Points of the trials that have not ended.
         truth: Values that measurements were simulated with, as the sweep file has them.
     """
 
     name: str
     axes: tuple[str, ...]
     repeats: tuple[str, ...]
-    planned: Mapping[str, Mapping[str, Any]]
-    states: Mapping[str, State]
-    ended: Mapping[str, TrialRow]
+    table: "pa.Table"
+    missing: tuple[Row, ...] = ()
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def rows(self) -> tuple[TrialRow, ...]:
-        """Trials that have ended, in the order of `states`."""
-        return tuple(self.ended.values())
+    def rows(self) -> tuple[Row, ...]:
+        """The rows of the table as dictionaries."""
+        return tuple(self.table.to_pylist())
 
-    @property
-    def missing(self) -> tuple[Mapping[str, Any], ...]:
-        """Points of the trials that have not ended."""
-        return tuple(
-            self.planned[key] for key in self.planned if key not in self.states
-        )
-
-    def of_state(self, state: State) -> tuple[TrialRow, ...]:
+    def of_state(self, state: State) -> tuple[Row, ...]:
         """Return the rows that ended in a state."""
-        return tuple(self.ended[key] for key, s in self.states.items() if s == state)
+        return tuple(row for row in self.rows if row["state"] == state)
 
     @property
-    def figure_names(self) -> tuple[str, ...]:
-        """Names of all figures, in the order of their first appearance."""
-        names = (name for row in self.rows for name in row.figures)
-        return tuple(dict.fromkeys(names))
+    def figures(self) -> tuple[str, ...]:
+        """Names of all figures."""
+        others = {*self.axes, *COLUMNS}
+        return tuple(name for name in self.table.column_names if name not in others)
+
+    @property
+    def numeric_figures(self) -> tuple[str, ...]:
+        """Names of those that are numbers in some trial that converged."""
+        return tuple(name for name in self.figures if self.numbers(name).size)
+
+    @property
+    def robot_figures(self) -> tuple[str, ...]:
+        """Names of those that describe the robot, the error of the prediction first."""
+        names = [
+            name
+            for name in self.numeric_figures
+            if name not in (STEPS, COST) and not name.startswith(f"{ERROR} ")
+        ]
+        if HELD_OUT in names:  # the fit is no test of the model
+            names = [HELD_OUT, *(n for n in names if n not in (HELD_OUT, FIT))]
+        return tuple(names)
+
+    @property
+    def error_figure(self) -> str | None:
+        """Name of the error of the prediction, or else of the fit, if there is one."""
+        return next((n for n in (HELD_OUT, FIT) if n in self.robot_figures), None)
+
+    def figure(self, name: str) -> str:
+        """Return the full name of a figure, like "fit rms [m]" for "fit rms".
+
+        Raises:
+            ValueError: If no row has a figure of that name.
+        """
+        by_words = {figure_name(figure)[0]: figure for figure in self.figures}
+        name = name if name in self.figures else by_words.get(name, name)
+        check_known("figure", self.figures, name)
+        return name
+
+    def values(self, figure: str) -> Float[HostArray, " n"]:
+        """Return a figure of each row; nan for no number, or if it did not converge."""
+        states, values = self.table["state"].to_pylist(), self.table[figure].to_pylist()
+        pairs = zip(states, values, strict=True)
+        good = lambda state, v: state == "converged" and is_number(v)
+        return np.array([v if good(s, v) else np.nan for s, v in pairs], float)
 
     def numbers(self, figure: str) -> Float[HostArray, " n"]:
         """Collect a figure of the trials that converged, where it is a number, in SI.
@@ -86,7 +127,7 @@ class SweepResult:
         Raises:
             ValueError: If no row has a figure of that name.
         """
-        values = figure_values(self.rows, self.figure(figure))
+        values = self.values(self.figure(figure))
         return values[~np.isnan(values)]
 
     def true_values(self, figure: str) -> Float[HostArray, " n"]:
@@ -95,21 +136,10 @@ class SweepResult:
         It says nothing of other layouts of control points than its own.
         """
         name, unit = figure_name(figure)
-        known = np.array([TO_TRUTH in row.figures for row in self.rows], bool)
+        known = [row.get(TO_TRUTH) is not None for row in self.rows]
         if name not in self.truth:
-            return np.full(known.shape, np.nan)
+            return np.full(len(known), np.nan)
         return np.where(known, parse_in_si(self.truth[name], unit.strip("-")), np.nan)
-
-    def figure(self, name: str) -> str:
-        """Return the full name of a figure, like "fit rms [m]" for "fit rms".
-
-        Raises:
-            ValueError: If no row has a figure of that name.
-        """
-        by_words = {figure_name(figure)[0]: figure for figure in self.figure_names}
-        name = name if name in self.figure_names else by_words.get(name, name)
-        check_known("figure", self.figure_names, name)
-        return name
 
     def grouping(self, by: Sequence[str] | None = None) -> tuple[str, ...]:
         """Return the axes that trials are grouped by: by default all but repetitions.
@@ -124,26 +154,21 @@ class SweepResult:
 
     def groups(
         self, by: Sequence[str] | None = None
-    ) -> tuple[tuple[Mapping[str, Any], "SweepResult"], ...]:
+    ) -> tuple[tuple[Row, "SweepResult"], ...]:
         """Split it by the axes of `grouping`: their values, and a part of the sweep."""
         by = self.grouping(by)
-        points = {**self.planned, **{row.key: row.point for row in self.rows}}
-        groups: dict[str, list[str]] = {}
-        for key, point in points.items():
-            groups.setdefault(repr([point[axis] for axis in by]), []).append(key)
-        part = lambda values, keys: {key: values[key] for key in keys if key in values}
-        return tuple(
-            (
-                {axis: points[keys[0]][axis] for axis in by},
-                replace(
-                    self,
-                    planned=part(self.planned, keys),
-                    states=part(self.states, keys),
-                    ended=part(self.ended, keys),
-                ),
-            )
-            for keys in groups.values()
+        groups: dict[str, tuple[Row, list[int], list[Row]]] = {}
+        for i, point in enumerate((*self.rows, *self.missing)):
+            values = {axis: point[axis] for axis in by}
+            _, ended, missing = groups.setdefault(repr(values), (values, [], []))
+            if i < len(self.rows):
+                ended.append(i)
+            else:
+                missing.append(point)
+        part = lambda ended, missing: replace(
+            self, table=self.table.take(np.array(ended, int)), missing=tuple(missing)
         )
+        return tuple((point, part(*some)) for point, *some in groups.values())
 
     def __str__(self) -> str:
         return _notebook.text_of(self)
@@ -152,33 +177,13 @@ class SweepResult:
         return _notebook.html_of(self)
 
 
-def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
-    """Return a figure of each row; nan for no number, or if it did not converge."""
-    value = lambda row: row.figures.get(figure) if row.state == "converged" else None
-    return np.array([v if is_number(v) else np.nan for v in map(value, rows)], float)
-
-
-MOST_PANELS = 4  # figures in a picture
-
-
-def default_figures(result: SweepResult) -> tuple[str, ...]:
-    """Return the figures that are numbers; none if no trial converged."""
-    return tuple(f for f in result.figure_names if result.numbers(f).size)
-
-
-def _places(rows: Sequence[TrialRow], axis: str) -> list[float] | list[str]:
-    """Return where trials stand on an axis: as numbers if all are, else in words."""
-    values = [row.point[axis] for row in rows]
-    if all(map(is_number, values)):
-        return list(map(float, values))
-    return list(map(shown, values))
-
-
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
     """Write one line per trial that has ended, for a spreadsheet, with values in SI."""
-    groups = flat_columns(result.axes, result.rows)
-    columns = {name: values for group in groups for name, values in group.items()}
-    write_rows(Path(path), [*columns], zip(*columns.values(), strict=True))
+    *of_row, notes = [name for name in COLUMNS if name not in ("traceback", "point")]
+    names = [*result.axes, *of_row, *result.figures, notes]
+    text = lambda value: " ".join(value) if isinstance(value, list) else value
+    lines = ([text(row[name]) for name in names] for row in result.rows)
+    write_rows(Path(path), names, lines)
 
 
 def plot_sweep(
@@ -207,33 +212,27 @@ def plot_sweep(
     Raises:
         ValueError: If there is no such axis or figure, or no trial has converged.
     """
-    rows, chosen = result.rows, default_figures(result)[:MOST_PANELS]
+    rows, chosen = result.rows, result.numeric_figures[:MOST_PANELS]
     if figures is not None:
         chosen = [result.figure(name) for name in figures]
     good = len(result.of_state("converged"))
     if not good or not chosen:
         raise ValueError("there is nothing to draw: no trial has converged yet.")
-    columns = {axis: _places(rows, axis) for axis in result.grouping(by)}
+    columns = {axis: [row[axis] for row in rows] for axis in result.grouping(by)}
     columns = columns or {"": ["all"] * len(rows)}
-    drawn, bound = [], [str(row.figures.get(ON_BOUND)) for row in rows]
+    drawn, bound = [], [str(row.get(ON_BOUND)) for row in rows]
     for figure in chosen:
         name, unit = figure_name(figure)
         about = {
-            "values": figure_values(rows, figure),
+            "values": result.values(figure),
             "name": name,
             "unit": unit,
             "truth": result.true_values(figure),
             "on_bound": np.array([name in b.split("; ") for b in bound]),
         }
         for axis, where in columns.items():
+            kind = float if all(map(is_number, where)) else str
+            where = list(map(kind, where))
             drawn.append(partial(draw_trials, where=where, axis=axis, **about))
     plot_panels(path, drawn, columns=len(columns), shared=True, style=style)
     return len(rows) - good
-
-
-def figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
-    """Pick the figures that describe the robot, the error of the prediction first."""
-    figures = [name for name in default_figures(result) if not is_of_the_fit(name)]
-    if HELD_OUT in figures:  # the fit is no test of the model
-        figures = [HELD_OUT, *(name for name in figures if name not in (HELD_OUT, FIT))]
-    return tuple(figures)

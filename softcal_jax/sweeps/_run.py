@@ -1,55 +1,44 @@
-"""Running the trials of a sweep, into one database or as parts in Parquet files."""
+"""Running the trials of a sweep into a folder."""
 
 import json
 import os
-import sys
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax._files import digest_of
-from softcal_jax._places import only_writer
 from softcal_jax._text import check_known
-from softcal_jax._units import is_number
-from softcal_jax.equilibrium import usable_cores
-from softcal_jax.sweeps._database import read_sweep, sweep_database
+from softcal_jax.sweeps._folder import array, read_rows, read_sweep, row_file
 from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._row import (
-    Progress,
-    TrialFunction,
-    TrialRow,
-    flat_columns,
-    progress_of,
-    run_trial,
-)
-from softcal_jax.sweeps._trial import Points, Range, Trial, as_trials, shown
-from softcal_jax.sweeps._worker import dask_rows, local_rows
+from softcal_jax.sweeps._row import Progress, TrialFunction, progress_of
+from softcal_jax.sweeps._trial import Points, Range, as_trials, plain
+from softcal_jax.sweeps._workers import rows_of
 
 if TYPE_CHECKING:
-    import pyarrow
-
-_ABOUT = b"softcal_jax.sweep"  # key of what rows depend on, in the metadata of a file
+    import pyarrow as pa
 
 
 def run_sweep(
     function: TrialFunction,
     points: Iterable[Mapping[str, Any]],
-    database: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
     *,
     name: str | None = None,
     seed: int = 0,
     repeats: Sequence[str] = (),
     definitions: Mapping[str, str] | None = None,
+    executor: Executor | str | None = None,
     workers: int | None = None,
     cores_per_worker: int = 1,
-    scheduler: str | None = None,
+    part: tuple[int, int] = (0, 1),
     retry_failed: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> SweepResult:
     """Call a function at every point, side by side, and save each result.
 
-    Each trial becomes a row of the database within a second of its end. To resume a
+    Each trial becomes a row of a Parquet file within a second of its end. To resume a
     sweep that was stopped or killed, run it again with the same arguments: only trials
     that were under way are lost, and after a kill those of the last second. A trial
     that raises becomes a row with the reason. A row depends on its point and the seed
@@ -64,7 +53,7 @@ def run_sweep(
 
         if __name__ == "__main__":
             points = grid({"E": [2e5, 3e5], "draw": range(20)})
-            print(run_sweep(tip_height, points, "tips.sqlite", repeats=["draw"]))
+            print(run_sweep(tip_height, points, "tips", repeats=["draw"]))
 
     Args:
         function: Takes a `Trial` and returns figures by name, or an `Outcome`, which
@@ -72,216 +61,115 @@ def run_sweep(
             it compiled from one trial to the next.
         points: Points from `grid`, `sample` or your own: a value for each axis. More
             points may be added when the sweep is run again.
-        database: SQLite file; made, or continued.
+        folder: Folder of the rows; made, or continued.
         name: Name in tables; that of the function by default.
         seed: Seed of the sweep, see `Trial.seed`.
         repeats: Axes that only repeat trials, like draws; tables average over them.
         definitions: What else a row depends on, by name, like {"mesh": "beam 14x4x4"}.
-            A database with another value of any of them is refused.
+            A folder with another value of any of them is refused.
+        executor: What runs the trials, like a `ThreadPoolExecutor` or the
+            `get_executor` of a Dask client, or the address of a Dask scheduler. By
+            default worker processes of this machine. A process runs one trial at a
+            time, since threads share what is compiled.
         workers: Number of worker processes; by default one per core. 0 runs everything
             in this process, for functions that cannot be imported.
         cores_per_worker: Threads of each worker. Their number changes how sums are
             rounded, so the last digits of rows may depend on it.
-        scheduler: Address of a Dask scheduler, to use its workers instead.
+        part: Number k, from 0, of n parts. Each part of a large sweep can be a job of a
+            cluster: all fill one folder, a file each, and none waits for another.
         retry_failed: Whether to retry trials that failed.
         progress: Called at the beginning and after each trial.
 
     Returns:
-        All rows of the database, those of earlier runs too.
+        All rows of the folder, or of the part alone, those of earlier runs too.
 
     Raises:
-        ValueError: If an argument is wrong, or the database is of another sweep.
-        OSError: If the database or the scheduler cannot be used.
+        ValueError: If an argument is wrong, or the folder is of another sweep.
+        OSError: If the folder or the executor cannot be used.
         RuntimeError: If workers cannot start.
     """
-    trials = as_trials(points, seed)
-    rests_on = _rests_on(function, trials, repeats, seed, definitions)
-    run = rows_of(function, workers, cores_per_worker, scheduler)
-    about = {"name": name or rests_on["function"], "repeats": tuple(repeats)}
-    with sweep_database(Path(database)) as file:
-        ended = file.begin(trials, about, rests_on)
-        if retry_failed:
-            ended = {key: s for key, s in ended.items() if s != "failed"}
-        left = [trial for trial in trials if trial.key not in ended]
-        before = [ended[trial.key] for trial in trials if trial.key in ended]
-        with closing(run(left)) as rows:
-            for now in progress_of(len(trials), before, rows if left else ()):
-                if now.row is not None:
-                    file.add(now.row)
-                progress(now)
-    return read_sweep(database)
-
-
-def _rests_on(
-    function: TrialFunction,
-    trials: Sequence[Trial],
-    repeats: Sequence[str],
-    seed: int,
-    definitions: Mapping[str, str] | None,
-) -> dict[str, str]:
-    """Return what rows depend on, by name, once the axes are known to be right."""
-    axes = trials[0].point
+    points = points if isinstance(points, Sequence) else tuple(points)
+    k, n = part
+    if part != (0, 1) and not 0 <= k < n <= len(points):
+        raise ValueError(
+            f"part {k} of {n}: expected a number from 0 to {n - 1}, of at most "
+            f"{len(points)} parts, one for each trial."
+        )
+    first, last = (len(points) * edge // n for edge in (k, k + 1))
+    trials = as_trials(points[first:last], seed)
+    axes = tuple(trials[0].point)
     check_known("axis", axes, *repeats)
-    return {
+    _check_workers(executor, workers, cores_per_worker)
+    known = {
         "function": getattr(function, "__qualname__", type(function).__qualname__),
         "set of axes": ", ".join(sorted(axes)),
         "seed": str(seed),
+        "number of parts": str(n),
         **(definitions or {}),
     }
-
-
-def rows_of(
-    function: TrialFunction,
-    workers: int | None,
-    cores_per_worker: int,
-    scheduler: str | None,
-) -> Callable[[Sequence[Trial]], Generator[TrialRow, None, None]]:
-    """Choose what runs trials: a cluster, this process, or worker processes."""
-    if cores_per_worker < 1:
-        raise ValueError(
-            f"cores_per_worker must be at least 1, got {cores_per_worker}."
+    if n > 1:  # the points of other parts are not listed here
+        known["list of points"] = _digest(points)
+    about = {"name": name or known["function"], "axes": axes, "repeats": [*repeats]}
+    about["definitions"] = known
+    file = f"rows-{k:0{len(str(n - 1))}d}-of-{n}" if n > 1 else "rows"
+    path = Path(folder) / f"{file}.parquet"
+    types = _types(points)
+    with row_file(path, trials, types, about, retry_failed=retry_failed) as rows:
+        columns = (rows.table[name].to_pylist() for name in ("point", "state"))
+        ended = dict(zip(*columns, strict=True))
+        left = [trial for trial in trials if trial.key not in ended]
+        before = [ended[trial.key] for trial in trials if trial.key in ended]
+        run = rows_of(
+            function,
+            left,
+            executor=executor,
+            workers=workers,
+            cores_per_worker=cores_per_worker,
         )
-    if scheduler is not None:
-        if workers is not None:
-            raise ValueError(
-                "workers are processes of this machine; with a scheduler the cluster "
-                "has its own. Give one of the two."
-            )
-        return lambda trials: dask_rows(function, trials, scheduler)
-    if workers is None:
-        workers = max(1, usable_cores() // cores_per_worker)
-    if workers < 0:
-        raise ValueError(f"workers must be 0 or more, got {workers}.")
-    if workers == 0:
-        return lambda trials: (run_trial(function, trial) for trial in trials)
-    return lambda trials: local_rows(function, trials, workers, cores_per_worker)
-
-
-def run_part(
-    function: TrialFunction,
-    points: Points,
-    folder: str | os.PathLike[str],
-    *,
-    part: int,
-    of: int,
-    seed: int = 0,
-    repeats: Sequence[str] = (),
-    definitions: Mapping[str, str] | None = None,
-    workers: int | None = None,
-    cores_per_worker: int = 1,
-    scheduler: str | None = None,
-    progress: Callable[[Progress], None] = lambda _: None,
-) -> Path:
-    """Run one of several parts of a sweep, and write its rows as a Parquet file.
-
-    Each job of a cluster runs one part, all write into one folder, and none waits for
-    another. About 1 000 trials are a good size: a part that is killed begins anew. A
-    part whose file exists is done; remove the file to run it again. Columns are the
-    `number` of the point and those of the CSV of `run_sweep`: doubles where all values
-    are numbers, texts elsewhere. A figure that no trial of a part has is not a column
-    of its file, so read the columns of all parts by name.
-
-    The `points` are those of the whole sweep, from `grid` or `sample`; `part` is the
-    number of this part, from 0, and `of` the number of parts. All other arguments are
-    as for `run_sweep`. Returns the path of the file in the `folder`.
-
-    Raises:
-        ValueError: If an argument is wrong, or the folder holds parts of another sweep.
-        ImportError: If pyarrow is not installed.
-        OSError: If the file cannot be written, or another process writes it.
-        RuntimeError: If workers cannot start.
-    """
-    if not isinstance(points, Points):
-        raise ValueError("points of a part must come from `grid` or `sample`.")
-    if not 0 <= part < of <= len(points):
-        raise ValueError(
-            f"part {part} of {of}: expected a number from 0 to {of - 1}, of at most "
-            f"{len(points)} parts, one for each trial."
-        )
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            "parts of a sweep are Parquet files: pip install 'softcal-jax[parquet]'."
-        ) from error
-    first, last = (len(points) * k // of for k in (part, part + 1))
-    trials = as_trials(points[first:last], seed)
-    rests_on = _rests_on(function, trials, repeats, seed, definitions)
-    mark = json.dumps({**rests_on, "points": _digest(points), "parts": of}).encode()
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"part-{part:0{len(str(of - 1))}d}-of-{of}.parquet"
-    run = rows_of(function, workers, cores_per_worker, scheduler)
-    # The dot hides an unfinished file from programs that read the folder.
-    partial = folder / f".{path.name}"
-    with only_writer(partial, f"process with part {part}"):
-        _check_folder(folder, mark)
-        if path.exists():
-            return path
-        rows: dict[str, TrialRow] = {}
-        with closing(run(trials)) as ended:
-            for now in progress_of(len(trials), (), ended):
+        with closing(run):
+            for now in progress_of(len(trials), before, run if left else ()):
                 if now.row is not None:
-                    rows[now.row.key] = now.row
+                    rows.add(now.row)
                 progress(now)
-        axes, *others = flat_columns([*points.axes], [rows[t.key] for t in trials])
-        columns = {"number": pa.array(range(first, last))}
-        for column, values in axes.items():
-            words = not _has_numbers(points.axes[column])
-            columns[column] = _array(values, words=words)
-        for column, values in [item for group in others for item in group.items()]:
-            if any(value is not None for value in values):
-                unique = column + " of the trial" * (column in columns)
-                columns[unique] = _array(values)
-        table = pa.table(columns).replace_schema_metadata({_ABOUT: mark})
-        try:
-            pq.write_table(table, partial)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    return path
+    return read_sweep(folder) if n == 1 else read_rows([path])
 
 
-def _digest(points: Points) -> str:
-    """Digest all points: values of the axes, and which of them are taken."""
+def _check_workers(
+    executor: Executor | str | None, workers: int | None, cores: int
+) -> None:
+    if cores < 1:
+        raise ValueError(f"cores_per_worker must be at least 1, got {cores}.")
+    if workers is not None and workers < 0:
+        raise ValueError(f"workers must be 0 or more, got {workers}.")
+    if executor is not None and workers is not None:
+        raise ValueError(
+            "workers are processes of this machine; an executor, like the scheduler of "
+            "a cluster, has its own. Give one of the two."
+        )
+
+
+def _digest(points: Sequence[Mapping[str, Any]]) -> str:
+    """Digest all points; of `Points` the values of the axes, and which are taken."""
+    if not isinstance(points, Points):
+        return digest_of([], json.dumps(points, default=str))
     plain = lambda v: vars(v) if isinstance(v, Range) else v
     axes = {axis: plain(values) for axis, values in points.axes.items()}
     text = json.dumps(axes, default=str)  # a `range` becomes its ends
     return digest_of([] if points.cells is None else [points.cells], text)
 
 
-def _check_folder(folder: Path, mark: bytes) -> None:
-    """Raise ValueError if the folder holds something else than parts of this sweep."""
-    import pyarrow.parquet as pq
-
-    other = next(folder.glob("part-*.parquet"), None)
-    if other is None:
-        return
-    try:
-        metadata = pq.read_schema(other).metadata or {}
-    except (ValueError, OSError) as error:  # of Arrow, which does not name the file
-        what = "cannot be read as a Parquet file. Remove it, or give another folder."
-        raise ValueError(f"{other} {what}") from error
-    if metadata.get(_ABOUT) != mark:
-        raise ValueError(
-            f"{other} is a part of another sweep: its project, points, seed or number "
-            "of parts differ. Give another folder."
-        )
-
-
-def _has_numbers(axis: Sequence[Any] | Range) -> bool:
-    if isinstance(axis, Range):
-        return axis.form is None
-    return isinstance(axis, range) or all(map(is_number, axis))
-
-
-def _array(values: Sequence[Any], *, words: bool = False) -> "pyarrow.Array":
-    """Make a column of doubles, or of texts where something is no number."""
-    import pyarrow as pa
-
-    most = sys.float_info.max
-    fits = (v is None or (is_number(v) and abs(v) <= most) for v in values)
-    if words or not all(fits):
-        return pa.array([None if v is None else shown(v) for v in values], pa.string())
-    return pa.array([None if v is None else float(v) for v in values], pa.float64())
+def _types(points: Sequence[Mapping[str, Any]]) -> dict[str, "pa.DataType"]:
+    """Choose the type of each axis, the same in all parts."""
+    axes: Mapping[str, Any] = (
+        points.axes
+        if isinstance(points, Points)
+        else {axis: [point.get(axis) for point in points] for axis in points[0]}
+    )
+    types = {}
+    for axis, values in axes.items():
+        if isinstance(values, Range):
+            values = [values.at(0.0)]
+        elif isinstance(values, range):  # which may be long
+            values = values[:1]
+        types[axis] = array([plain(axis, value) for value in values]).type
+    return types

@@ -15,6 +15,19 @@ from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]
 
+COLUMNS = (
+    "state",
+    "reason",
+    "seconds",
+    "compile_seconds",
+    "worker",
+    "ended",
+    "notes",
+    "traceback",
+    "point",
+)
+"""Columns of every row of a sweep between its axes and its figures."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -193,7 +206,7 @@ class Trial:
     sweep_seed: int = 0
 
     def __post_init__(self):
-        values = {axis: _plain(axis, value) for axis, value in self.point.items()}
+        values = {axis: plain(axis, value) for axis, value in self.point.items()}
         object.__setattr__(self, "point", values)
 
     def __getitem__(self, axis: str) -> Any:
@@ -203,8 +216,8 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Name of the trial in the database, which depends on its point alone."""
-        return hashlib.sha256(_canonical(self.point).encode()).hexdigest()[:16]
+        """Name of the trial: its point as JSON."""
+        return _canonical(self.point)
 
     @property
     def seed(self) -> int:
@@ -230,12 +243,18 @@ def as_trials(
 ) -> tuple[Trial, ...]:
     """Make the trials of a sweep; all must have the same axes and different points."""
     points = points if isinstance(points, Sequence) else tuple(points)
-    text = "a sweep in one database or part (--part and --of run larger ones in parts)"
+    text = "a sweep (--part and --of run larger ones in parts)"
     TRIALS.check(text, len(points))
     trials = tuple(Trial(point, sweep_seed) for point in points)
     if not trials:
         raise ValueError("the sweep has no trials: give each axis at least one value.")
     axes = tuple(trials[0].point)
+    for axis in axes:
+        if axis in COLUMNS:
+            raise ValueError(
+                f"an axis cannot be called {axis!r}, as every row has a column of that "
+                f"name, like {', '.join(COLUMNS)}."
+            )
     seen = set()
     for trial in trials:
         if set(trial.point) != set(axes):
@@ -244,17 +263,12 @@ def as_trials(
                 f"{', '.join(axes)} and {', '.join(trial.point)}."
             )
         if trial.key in seen:
+            point = ", ".join(f"{axis} = {shown(v)}" for axis, v in trial.point.items())
             raise ValueError(
-                f"the sweep tries {describe(trial.point)} twice; each point must "
-                "stand in it once."
+                f"the sweep tries {point} twice; each point must stand in it once."
             )
         seen.add(trial.key)
     return trials
-
-
-def describe(point: Mapping[str, Any]) -> str:
-    """Write a point in words."""
-    return ", ".join(f"{axis} = {shown(value)}" for axis, value in point.items())
 
 
 def shown(value: Any) -> str:
@@ -268,12 +282,12 @@ def _canonical(point: Mapping[str, Any]) -> str:
     return json.dumps(point, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _plain(axis: str, value: Any) -> Any:
+def plain(axis: str, value: Any) -> Any:
     """Convert a value to what JSON would return."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
-        return [_plain(axis, entry) for entry in value]
+        return [plain(axis, entry) for entry in value]
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float) and np.isfinite(value):

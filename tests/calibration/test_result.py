@@ -25,7 +25,7 @@ from softcal_jax.report import held_out_sentences
 from softcal_jax.report._html import chart_html
 from softcal_jax.report._poses import error_charts
 from softcal_jax.sensitivity import Response
-from softcal_jax.sweeps._row import HELD_OUT, _figures
+from softcal_jax.sweeps._calibration import HELD_OUT, _figures
 
 
 def one_fit(before, y) -> ConfigurationResult:

@@ -122,9 +122,9 @@ def test_a_sweep_shows_its_truth(tmp_path):
     points = grid({"layout": ["own", "other"], "n": [1, 2, 3, 4]})
     truth = {"E": "200 kPa", "theta": "10 deg"}
     about = {"definitions": {"truth": json.dumps(truth)}, "workers": 0}
-    run_sweep(fit, points, tmp_path / "s.sqlite", repeats=["n"], **about)
-    result = read_sweep(tmp_path / "s.sqlite")
-    own = np.array([row.point["layout"] == "own" for row in result.rows])
+    run_sweep(fit, points, tmp_path / "s", repeats=["n"], **about)
+    result = read_sweep(tmp_path / "s")
+    own = np.array([row["layout"] == "own" for row in result.rows])
     true = result.true_values("E [Pa]")
     np.testing.assert_array_equal(true, np.where(own, 2e5, np.nan))
     np.testing.assert_allclose(result.true_values("theta [rad]")[own], np.deg2rad(10.0))

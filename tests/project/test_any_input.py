@@ -291,9 +291,9 @@ def a_result(folder):
 
 
 def a_sweep(folder):
-    path = folder / "s.sqlite"
-    run_sweep(lambda trial: {"x": 1.5}, grid({"E": [1, 2]}), path, workers=0)
-    return path
+    points = grid({"E": [1, 2]})
+    run_sweep(lambda trial: {"x": 1.5}, points, folder / "s", workers=0)
+    return folder / "s" / "rows.parquet"
 
 
 def a_project(folder):
@@ -301,7 +301,7 @@ def a_project(folder):
 
 
 def shown(path):
-    return str(read_sweep(path))
+    return str(read_sweep(path.parent))
 
 
 in_mm = partial(read_recording, length_unit="mm")

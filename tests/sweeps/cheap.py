@@ -1,6 +1,6 @@
 """Functions of sweeps that take no time, for worker processes to import.
 
-Run as a program it is a sweep that a test can kill: `python cheap.py DATABASE WHERE`,
+Run as a program it is a sweep that a test can kill: `python cheap.py FOLDER WHERE`,
 with a number of workers or the address of a scheduler.
 """
 
@@ -93,5 +93,5 @@ if __name__ == "__main__":
         Path(sys.argv[1]),
         repeats=["draw"],
         workers=int(sys.argv[2]) if here else None,
-        scheduler=None if here else sys.argv[2],
+        executor=None if here else sys.argv[2],
     )

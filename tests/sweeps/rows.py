@@ -2,10 +2,14 @@
 
 from softcal_jax.sweeps import SweepResult
 
+CHANGES = ("seconds", "compile_seconds", "worker", "ended", "traceback")
+
 
 def substance(result: SweepResult):
     """Every row without times and places."""
-    return [
-        (row.key, row.point, row.state, row.reason, row.figures, row.notes)
-        for row in result.rows
-    ]
+    return [{k: v for k, v in row.items() if k not in CHANGES} for row in result.rows]
+
+
+def ends(result: SweepResult):
+    """When each trial ended."""
+    return {row["point"]: row["ended"] for row in result.rows}

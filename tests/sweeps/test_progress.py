@@ -6,12 +6,12 @@ from datetime import datetime, timedelta
 import pytest
 from wording import says
 
-from softcal_jax.sweeps import Progress, TrialRow, _row as row_module
+from softcal_jax.sweeps import Progress, _row as row_module
 from softcal_jax.sweeps._row import progress_of
 
 
 def row(state="converged", worker="a"):
-    return TrialRow("key", {}, state, worker=worker)
+    return {"state": state, "worker": worker}
 
 
 def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from export.handmade import make_history, make_result
+from killable import kill, wait_for
 from rows import substance
 from small_project import write_small_project
 from test_page import Read, number
@@ -20,8 +21,8 @@ from softcal_jax.cli import main
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.fields import random_starts
 from softcal_jax.project import load_project
-from softcal_jax.sweeps import Trial, _row, load_sweep, read_sweep
-from softcal_jax.sweeps._row import _with_noise, why_not
+from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
+from softcal_jax.sweeps._calibration import CalibrationTrial, _with_noise, why_not
 
 SWEEP = """
 project = "project.toml"
@@ -64,7 +65,7 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert says(text, "16 of 16", "4 converged, 4 not converged, 8 failed")
     assert says(text, "within max_steps = 1")
     assert "no equilibrium found" in text
-    assert says(text, f"{swept / 'sweep.sqlite'} ... softcal sweep show")
+    assert says(text, f"{swept / 'sweep'} ... softcal sweep show")
     assert f"open {swept / 'sweep_report.html'} in a browser" in text
     check_rows(swept)
     check_page(swept)
@@ -76,33 +77,32 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
 
 def check_rows(swept):
     """What trials found, against a calibration of the same by hand."""
-    result = read_sweep(swept / "sweep.sqlite")
+    result = read_sweep(swept / "sweep")
     assert result.repeats == ("start", "noise")
-    by_point = {tuple(r.point.values()): r for r in result.rows}
+    by_point = {tuple(r[axis] for axis in result.axes): r for r in result.rows}
     row = lambda start, noise: by_point[(50, WEIGHT, start, noise)]
-    exact = row(0, 0).figures
+    trial_at = lambda *at: Trial({a: row(*at)[a] for a in result.axes}, sweep_seed=7)
+    exact = row(0, 0)
     assert exact["E [Pa]"] == pytest.approx(300e3, rel=1e-8)
     assert exact["held-out rms [m]"] < 1e-9
-    assert set(exact) == {
+    assert set(result.figures) == {
         "fit rms [m]", "held-out rms [m]", "E [Pa]", "steps", "cost [-]",
         "standard error of E [Pa]",
     }  # fmt: skip
     # The same optimum from another start, on another way.
-    other = row(1, 0).figures
+    other = row(1, 0)
     assert other["E [Pa]"] == pytest.approx(300e3, rel=1e-6)
-    assert row(1, 1).figures["E [Pa]"] == pytest.approx(
-        row(0, 1).figures["E [Pa]"], rel=1e-6
-    )
+    assert row(1, 1)["E [Pa]"] == pytest.approx(row(0, 1)["E [Pa]"], rel=1e-6)
     # By hand: the noise of the trial, on what is fitted and not on what is held out.
     project = load_project(swept / "project.toml")
-    trial = Trial(row(0, 1).point, sweep_seed=7)
+    trial = trial_at(0, 1)
     random = np.random.default_rng(trial.seed_of("noise"))
     (pose,) = project.calibration
     std = np.array([[1e-4] * 3, [2e-4] * 3])  # tip and side
     noisy = pose.measured + std * random.standard_normal((2, 3))
     pose = dataclasses.replace(pose, measured=noisy)
     by_hand = dataclasses.replace(project, calibration=(pose,)).calibrate()
-    noisy_row = row(0, 1).figures
+    noisy_row = row(0, 1)
     assert noisy_row["E [Pa]"] == pytest.approx(by_hand.value("E"), rel=1e-9)
     assert noisy_row["E [Pa]"] != pytest.approx(300e3, rel=1e-4)
     assert noisy_row["held-out rms [m]"] == pytest.approx(
@@ -111,13 +111,12 @@ def check_rows(swept):
     assert noisy_row["standard error of E [Pa]"] == pytest.approx(
         by_hand.parameters[0].standard_error, rel=1e-6
     )
-    assert {r.state for p, r in by_point.items() if p[0] == 1 and p[1] == WEIGHT} == {
-        "not converged"
-    }
-    assert {r.state for p, r in by_point.items() if p[1] == CRUSHED} == {"failed"}
+    states = {p: r["state"] for p, r in by_point.items()}
+    assert {s for p, s in states.items() if p[:2] == (1, WEIGHT)} == {"not converged"}
+    assert {s for p, s in states.items() if p[1] == CRUSHED} == {"failed"}
 
     # The start of a trial is that of a calibration which is told to start there.
-    started = Trial(row(1, 0).point, sweep_seed=7)
+    started = trial_at(1, 0)
     z = random_starts(project.space, 1, seed=started.seed_of("start"))[0]
     elsewhere = project.calibrate(start=z)
     assert elsewhere.parameters[0].start == float(project.space.from_scaled(z)[0])
@@ -131,14 +130,14 @@ def check_page(swept):
     """Command, hashes, settings, and the numbers of the rows."""
     page = Read((swept / "sweep_report.html").read_text(encoding="utf-8"))
     assert says(page.text, "16 of 16 trials ... 4 converged")
-    assert "softcal sweep sweep.toml -o repeated.sqlite" in page.text
+    assert "softcal sweep sweep.toml -o repeated" in page.text
     files = ["sweep.toml", "project.toml", "markers.csv"]
     assert page.tables["Input files"][1:] == [
         [name, sha256_of(swept / name)] for name in files
     ]
     assert dict(page.tables["Settings"])["seed"] == "7"
     assert dict(page.tables["Versions"])["softcal_jax"]
-    result = read_sweep(swept / "sweep.sqlite")
+    result = read_sweep(swept / "sweep")
     held_out = sorted(result.numbers("held-out rms [m]"))
     head, *rows = page.tables["Best trials"]
     shown = [number(row[head.index("held-out rms")]) for row in rows]
@@ -147,7 +146,7 @@ def check_page(swept):
 
 def check_show(swept, capsys, tmp_path):
     """Tables, CSV and picture of the rows."""
-    show = lambda *more: main(["sweep", "show", str(swept / "sweep.sqlite"), *more])
+    show = lambda *more: main(["sweep", "show", str(swept / "sweep"), *more])
     table, picture = tmp_path / "t.csv", tmp_path / "p.png"
     assert show("--csv", str(table), "--plot", str(picture), "--figure", "E") == 0
     text, errors = capsys.readouterr()
@@ -167,14 +166,14 @@ def check_show(swept, capsys, tmp_path):
     assert says(capsys.readouterr().err, "error: ", "'F [Pa]'", "mean 'E [Pa]'")
     assert show("--by", "noisee") == 2
     assert says(capsys.readouterr().err, "'noisee' ... mean 'noise'")
-    assert main(["sweep", "show", str(tmp_path / "no.sqlite")]) == 2
-    assert says(capsys.readouterr().err, "error: ", "no.sqlite does not exist")
+    assert main(["sweep", "show", str(tmp_path / "no")]) == 2
+    assert says(capsys.readouterr().err, "error: ", "no does not exist")
 
 
-def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
+def test_a_folder_of_another_sweep_file(swept, capsys, tmp_path):
     write_small_project(tmp_path)
     (tmp_path / "sweep.toml").write_text(SWEEP.replace("seed = 7", "seed = 8"))
-    read = swept / "other.sqlite"
+    read = swept / "other"
     assert main(["sweep", str(swept / "sweep.toml"), "--workers", "-1"]) == 2
     assert says(capsys.readouterr().err, "workers ... 0 or more, got -1")
     short = SWEEP.replace("[0, 1]", "[0]").replace("[1, 50]", "[1]")
@@ -192,7 +191,7 @@ def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
     sweep = load_sweep(tmp_path / "sweep.toml")
     project = tmp_path / "project.toml"
     project.write_text(project.read_text().replace("nu = 0.3", "nu = 0.2"))
-    monkeypatch.setattr(_row, "_KEPT", {})  # as in a new process
+    monkeypatch.setattr(_calibration, "_KEPT", {})  # as in a new process
     with pytest.raises(RuntimeError, match=r"project\.toml has changed"):
         sweep.function(Trial(sweep.points[0]))
 
@@ -200,17 +199,16 @@ def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted(swept, capsys, monkeypatch, sent):
     """Ctrl-C or SIGTERM: what is there stays, and the message says how to go on."""
-    from softcal_jax.sweeps import CalibrationTrial
 
     def interrupt(self, trial):
         signal.raise_signal(sent)
 
     monkeypatch.setattr(CalibrationTrial, "__call__", interrupt)
-    code, _, errors = run(swept, capsys, "-o", str(swept / "third.sqlite"))
+    code, _, errors = run(swept, capsys, "-o", str(swept / "third"))
     assert code == 130
     assert "0 of " in errors
     page = swept / "third_report.html"
-    assert says(errors, f"same command ... third.sqlite ... {page}")
+    assert says(errors, f"same command ... third ... {page}")
     assert ">0 of " in page.read_text()
 
 
@@ -229,25 +227,20 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
     )
     (tmp_path / "sweep.toml").write_text(text.replace(f', "{CRUSHED}"', ""))
     sweep = load_sweep(tmp_path / "sweep.toml")
-    expected = sweep.run(tmp_path / "one.sqlite", workers=1)
-    path = tmp_path / "two.sqlite"
+    expected = sweep.run(tmp_path / "one", workers=1)
+    path = tmp_path / "two"
     command = [sys.executable, "-c", "from softcal_jax.cli import main; main()"]
     command += ["sweep", str(sweep.path), "-o", str(path), "--workers", "2"]
 
     def started(rows):
         driver = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        while not path.exists() or not path.stat().st_size:
-            assert driver.poll() is None
-        while len(read_sweep(path).rows) < rows:
-            assert driver.poll() is None
+        wait_for(driver, path, rows)
         return driver
 
     driver = started(2)
     os.kill(children(driver.pid)[0], signal.SIGKILL)
-    while len(read_sweep(path).rows) < 5:
-        pass
-    driver.kill()
-    driver.wait()
+    wait_for(driver, path, 5)
+    kill(driver)
     assert 5 <= len(read_sweep(path).rows) < 24
     result = sweep.run(path, workers=2)
     assert json.dumps(substance(result)) == json.dumps(substance(expected))

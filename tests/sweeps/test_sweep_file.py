@@ -8,7 +8,7 @@ from anisotropic_project import write_anisotropic_project
 from small_project import write_small_project
 
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.sweeps import _row, load_sweep
+from softcal_jax.sweeps import _calibration, load_sweep
 
 HEAD = 'project = "project.toml"\n'
 
@@ -63,7 +63,7 @@ configurations = { choose = 1 }
     }  # fmt: skip
     assert sweep.points[1]["noise"] == 2
     assert [p["material.nu"] for p in sweep.points] == [0.2] * 4 + [0.3] * 4
-    assert sweep.database == small / "sweep.sqlite"
+    assert sweep.folder == small / "sweep"
     assert set(sweep.definitions) == {
         "content of project.toml", "content of markers.csv", "truth",
     }  # fmt: skip
@@ -74,14 +74,14 @@ configurations = { choose = 1 }
 def test_a_worker_forgets_before_it_has_too_many_programs(small, monkeypatch):
     """Variants of one shape share programs; they go only when maps run out."""
     path = write(small, '[axes]\n"material.nu" = [0.1, 0.2, 0.3, 0.31, 0.32]\n')
-    monkeypatch.setattr(_row, "KEPT", 2)
+    monkeypatch.setattr(_calibration, "KEPT", 2)
     forgotten = []
-    monkeypatch.setattr(_row.jax, "clear_caches", lambda: forgotten.append(1))
+    monkeypatch.setattr(_calibration.jax, "clear_caches", lambda: forgotten.append(1))
     sweep = load_sweep(path)
-    assert len(_row._KEPT) <= 2
+    assert len(_calibration._KEPT) <= 2
     assert forgotten == []
-    monkeypatch.setattr(_row, "MOST_MAPS", 10)
-    monkeypatch.setattr(_row, "_KEPT", {})
+    monkeypatch.setattr(_calibration, "MOST_MAPS", 10)
+    monkeypatch.setattr(_calibration, "_KEPT", {})
     sweep.function.variant(sweep.points[0])
     assert forgotten == [1]
 
