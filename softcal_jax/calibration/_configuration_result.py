@@ -20,6 +20,7 @@ from softcal_jax.configurations import (
     configuration_lanes,
     rms_distance,
 )
+from softcal_jax.contact import face_size
 from softcal_jax.equilibrium import (
     RESULTS,
     EquilibriumSolution,
@@ -36,6 +37,9 @@ from softcal_jax.inference import UNLIKELY, LinearModel, whitened
 from softcal_jax.mesh import SelfContact, self_contact
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import AnyArray, CorrelatedNoise, attachments
+
+_BETWEEN = 0.02
+"""Depth from which nodes count where contact is modelled, over a face's size [-]."""
 
 Role = Literal[
     "calibration", "validation", "prediction", "design", "command", "simulation"
@@ -60,7 +64,7 @@ class ConfigurationResult(Module):
         at_rounding: Whether Newton stopped at rounding, with a residual above `rtol`.
         min_det_F: Its smallest det F [-].
         robot: Rigid bodies, actuators, reactions and contacts; None without an
-            equilibrium, and for a body without rigid bodies and actuators.
+            equilibrium, and for a body without any that could be.
         W_ep: Compliances of the rows of its effectors, in their units, per unit of
             lambda_p; None where nothing was calibrated.
         columns: Errors that coordinates share, in the order of the effectors, in units
@@ -228,7 +232,10 @@ def omitted(fits: Sequence[ConfigurationResult]) -> tuple[str, ...]:
     deep.sort(key=lambda one: -one[0].depth[0])
     names = listed([name for _, name in deep], MOST_NAMED)
     words = f"{'up to ' * (len(deep) > 1)}{deep[0][0].words}"
-    touches = f"The body touches itself in {names}, {words}: this is not modelled."
+    touches = (
+        f"The body touches itself in {names}, {words}: this is not modelled where it "
+        "is not said which surfaces touch (`touching`)."
+    )
     return *sentences, touches
 
 
@@ -403,7 +410,13 @@ def _self_contact(model, lanes, solution, state, i: int) -> SelfContact | None:
     ]
     placed = np.asarray(lanes.arrays.fixed)[i, :n].all(axis=1) | np.isin(carrier, held)
     u = np.asarray(solution.displacement[i])[:n]
-    return self_contact(model.mesh, u, carrier=carrier, placed=placed)
+    contacts, within = model.mechanism.contacts, np.zeros(n)
+    if contacts.touching is not None:
+        # Nodes lie deeper than the quadrature points between them, which are pressed.
+        least = max(float(contacts.scale), _BETWEEN * face_size(model.mesh))
+        within[contacts.touching.faces] = least
+    of_nodes = {"carrier": carrier, "placed": placed, "within": within}
+    return self_contact(model.mesh, u, **of_nodes)
 
 
 def _outcome(solution: EquilibriumSolution, i: int) -> str:

@@ -373,7 +373,7 @@ def contact_doubts(
 ) -> Iterator[str]:
     """Name the poses where much slides on its way, or the cushion gives way."""
     scale, E = float(contacts.scale), readable(float(contacts.stiffness), "Pa")
-    for name in contacts.names:
+    for name in contacts.touched:
         felt = [
             (contact, f'"{fit.name}"')
             for fit in fits
@@ -391,9 +391,10 @@ def contact_doubts(
                 "on its way is held by other forces."
             )
         if deep:
+            what = f'"{name}"' if name in contacts.names else f'itself ("{name}")'
             yield (
                 f"{_poses(deep)}{readable(deep[-1][0], 'm')} of the body lie inside "
-                f'"{name}", deeper than the scale of contact, {readable(scale, "m")}: '
+                f"{what}, deeper than the scale of contact, {readable(scale, 'm')}: "
                 f"the pressure is more than half of {E}, the modulus at the start, "
                 "which contact has. Start with a larger modulus, or press less."
             )

@@ -293,14 +293,19 @@ def _lane(
 def _check_outside(
     mechanism: Mechanism, bodies: BodyStateArrays, configuration: str
 ) -> None:
-    """Raise where the body at rest lies in an obstacle that has not moved yet."""
+    """Raise where the body at rest lies in what has not moved yet, or in itself."""
     contacts = mechanism.contacts
-    if contacts.n_obstacles == 0:
+    if not contacts.can_touch:
         return
     depths = contacts.depths_at_start(mechanism.standing(bodies, mounted=False))
-    for name, depth in zip(contacts.names, np.asarray(depths), strict=True):
+    for name, depth in zip(contacts.touched, np.asarray(depths), strict=True):
         if depth > contacts.scale:
             deep = readable_values([float(depth)], "m", digits=3)
+            if name not in contacts.names:
+                raise ValueError(
+                    f"configuration {configuration!r}: at rest surfaces lie {deep} in "
+                    f"each other ({name}). Mesh them apart, or do not let them touch."
+                )
             raise ValueError(
                 f"configuration {configuration!r}: before the load the body lies "
                 f"{deep} inside the obstacle {name!r}. Let it start "

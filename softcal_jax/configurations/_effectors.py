@@ -168,7 +168,8 @@ class ContactForce(AbstractEffector):
     """Force of the robot on an obstacle: the force sensor of a probe.
 
     Attributes:
-        body: The obstacle, a rigid body with a shape.
+        body: The obstacle, a rigid body with a shape; or two surfaces that may touch,
+            "upper on lower".
         axis: Direction along which the sensor measures; by default it measures all
             three coordinates, in the frame of the mesh [-].
         measured: Measured force, one number or three [N].
@@ -194,7 +195,9 @@ class ContactForce(AbstractEffector):
         return 3 if self.axis is None else 1
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        obstacle = _index_of(self.body, mechanism.contacts.names, "obstacle", self.name)
+        obstacle = _index_of(
+            self.body, mechanism.contacts.touched, "obstacle", self.name
+        )
         axis, (what, unit) = self.axis, self.quantity
         if axis is not None:
             axis = tuple(unit_vector(f"axis of effector {self.name!r}", axis).tolist())

@@ -17,7 +17,13 @@ from softcal_jax.actuators import (
     actuator_arrays,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
-from softcal_jax.contact import Contacts, Obstacle, Standing, build_contacts
+from softcal_jax.contact import (
+    Contacts,
+    Obstacle,
+    Standing,
+    build_contacts,
+    build_touching,
+)
 from softcal_jax.mesh import TetMesh
 
 OTHER_POINTS = (
@@ -34,7 +40,7 @@ class Mechanism(Module):
 
     Attributes:
         points: All nodes at rest, the frame nodes of the bodies last [m].
-        contacts: Which of them are obstacles, and the surface that they may touch.
+        contacts: Which of them are obstacles, and the surfaces that they may touch.
         motor_zero: Zero error of each motor, added to the angle of its encoder [rad];
             0 for other actuators.
     """
@@ -115,11 +121,13 @@ def build_mechanism(
     *,
     at_rest: bool = True,
     contact_scale: float | None = None,
+    touching: Sequence[tuple[str, str]] = (),
+    touching_reach: float | None = None,
 ) -> Mechanism:
     """Stack the rigid bodies and actuators of a mesh at rest.
 
     To check or to draw actuators, `at_rest` is not needed, see `actuator_arrays`; for
-    the scale of contact see `build_contacts`.
+    contact see `build_contacts` and `build_touching`.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -153,8 +161,15 @@ def build_mechanism(
         for k, b in enumerate(bodies)
         if b.shape is not None
     ]
+    carrier = np.full(mesh.n_nodes, -1)
+    carrier[stacked.attached] = stacked.owner[stacked.body]
     contacts = build_contacts(
-        mesh, points, obstacles, length=stacked.length, scale=contact_scale
+        mesh,
+        points,
+        obstacles,
+        length=stacked.length,
+        scale=contact_scale,
+        touching=build_touching(mesh, touching, carrier=carrier, reach=touching_reach),
     )
     return Mechanism(points, stacked, contacts, arrays, zeros)
 

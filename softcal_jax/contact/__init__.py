@@ -1,4 +1,4 @@
-"""Contact of the body with obstacles: their shapes, and the potential between them."""
+"""Contact of the body with obstacles and with itself: shapes, and the potential."""
 
 from softcal_jax.contact._contacts import (
     Contacts as Contacts,
@@ -6,6 +6,10 @@ from softcal_jax.contact._contacts import (
     Obstacle as Obstacle,
     Standing as Standing,
     build_contacts as build_contacts,
+)
+from softcal_jax.contact._facing import (
+    build_touching as build_touching,
+    face_size as face_size,
 )
 from softcal_jax.contact._shapes import (
     SHAPES as SHAPES,
@@ -18,3 +22,4 @@ from softcal_jax.contact._shapes import (
     RoundedCylinder as RoundedCylinder,
     read_surface as read_surface,
 )
+from softcal_jax.contact._touching import Touching as Touching

@@ -1,4 +1,4 @@
-"""Contact of the surface of the body with obstacles, with Coulomb friction.
+"""Contact of the surface of the body with obstacles and itself, with friction.
 
 Each quadrature point of the faces of the body, with the area A at rest and the distance
 g from an obstacle, adds A E phi(d) to the potential energy, where d = s / 2 - g is how
@@ -36,7 +36,10 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.contact._cushion import cushion, cushion_pressure, tamed_pressure
+from softcal_jax.contact._facing import face_size
 from softcal_jax.contact._shapes import AbstractShape
+from softcal_jax.contact._touching import Touching
 from softcal_jax.elements import vector_length
 from softcal_jax.mesh import TetMesh, boundary_faces, face_areas
 
@@ -75,13 +78,14 @@ class Standing(NamedTuple):
 
 
 class ContactState(Module):
-    """What an obstacle feels in a state of the robot.
+    """What an obstacle feels, or a surface of the body of another that it touches.
 
     Area and sliding share count whole quadrature points: their derivative is nan.
 
     Attributes:
         force: Force of the robot on it [N].
-        moment: Its moment about the origin of the frame of the obstacle [N m].
+        moment: Its moment about the origin of the frame of the obstacle, or of the
+            mesh [N m].
         area: Area at rest of the surface that presses on it [m2].
         depth: How deep the surface lies in it at most [m].
         sliding: Share of the area that slides against friction [-].
@@ -95,27 +99,8 @@ class ContactState(Module):
     sliding: float | Float[Array, ""]
 
 
-def _cushion(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Compute phi of the module's docstring [m]."""
-    near = jnp.clip(d, 0.0, 2.0 * s)
-    far = jnp.maximum(d / s, 2.0)
-    deep = s * (0.5 * far**2 - far + 2.0 / 3.0)
-    return jnp.where(d < 2.0 * s, near**3 / (12.0 * s**2), deep)
-
-
-def _pressure(d: Float[Array, "..."], s: Float[Array, ""]) -> Float[Array, "..."]:
-    """Compute phi'(d) [-]."""
-    near = jnp.clip(d, 0.0, 2.0 * s)
-    return jnp.where(d < 2.0 * s, near**2 / (4.0 * s**2), d / s - 1.0)
-
-
-def _tamed(
-    most: Float[Array, ""], d: Float[Array, "..."], s: Float[Array, ""]
-) -> Float[Array, "..."]:
-    """Return the pressure up to `most`, with the derivative of the whole [-]."""
-    still = jax.lax.stop_gradient
-    slope = jnp.clip(d / (2.0 * s), 0.0, 1.0) / s
-    return still(jnp.minimum(_pressure(d, s), most)) + still(slope) * (d - still(d))
+def _pressure_of(tamed: bool | Bool[Array, ""]) -> Callable[[Array, Array], Array]:
+    return partial(tamed_pressure, jnp.where(tamed, 1.0, jnp.inf))
 
 
 class _Touch(NamedTuple):
@@ -150,6 +135,7 @@ class Contacts(Module):
         body: Index of the rigid body of each of them.
         friction: Coefficient of friction of each [-].
         sticks: Whether it has friction; else points slide freely.
+        touching: Surfaces of the body that may touch each other; None without any.
     """
 
     faces: Int[HostArray, "n_faces n_fn"]
@@ -163,6 +149,7 @@ class Contacts(Module):
     scale: Float[Array, ""]
     shapes: tuple[AbstractShape, ...]
     friction: Float[HostArray, " n_obstacles"]
+    touching: Touching | None
     body: tuple[int, ...] = eqx.field(static=True)
     sticks: tuple[bool, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
@@ -171,19 +158,36 @@ class Contacts(Module):
     def n_obstacles(self) -> int:
         return len(self.body)
 
+    @property
+    def can_touch(self) -> bool:
+        """Whether there is anything that the body may touch."""
+        return self.n_obstacles > 0 or self.touching is not None
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The names of obstacles, then those of surfaces on each other."""
+        return self.names + (() if self.touching is None else self.touching.names)
+
     def following(self, mesh: TetMesh, points: Float[Array, "n_points 3"]):
         """Return the contacts of a mesh with other points; their scale stays [m]."""
         areas, _ = face_areas(mesh, self.faces)
         areas = jnp.where(jnp.asarray(self.areas) > 0.0, areas[None], 0.0)
-        return eqx.tree_at(lambda c: (c.areas, c.rest), self, (areas, points))
+        new = eqx.tree_at(lambda c: (c.areas, c.rest), self, (areas, points))
+        if self.touching is None:
+            return new
+        return eqx.tree_at(lambda c: c.touching, new, self.touching.following(mesh))
 
-    def cliques(self) -> tuple[Int[HostArray, "n_faces _"], ...]:
-        """List the nodes that each obstacle couples: those of a face and its frame."""
+    def cliques(self) -> tuple[Int[HostArray, "_ _"], ...]:
+        """List the nodes that each obstacle couples: those of a face and its frame.
+
+        Then those that each pair of faces that may touch couples.
+        """
         spread = lambda nodes: np.broadcast_to(nodes, (len(self.faces), 4))
-        return tuple(
+        cliques = tuple(
             np.concatenate([self.faces, spread(nodes)], axis=1).astype(np.int32)
             for nodes in self.frames
         )
+        return cliques + (() if self.touching is None else (self.touching.cliques(),))
 
     def _local(self, z: Float[Array, "m 3"]) -> Float[Array, "n_qp 3"]:
         """Return the points of a face in the frame of an obstacle [m].
@@ -225,7 +229,7 @@ class Contacts(Module):
         z: Float[Array, "m 3"],
         area: Float[Array, " n_qp"],
         start: Float[Array, "m 3"],
-        pressure: Callable[[Array, Array], Array] = _pressure,
+        pressure: Callable[[Array, Array], Array] = cushion_pressure,
     ) -> tuple[Float[Array, "m 3"], Float[Array, "m 3"], _Touch]:
         """Compute the force of a face on the obstacle `k` at the nodes `z` [N].
 
@@ -255,17 +259,20 @@ class Contacts(Module):
     def energy_and_force(
         self, x: Float[Array, "n_points 3"], standing: Standing
     ) -> tuple[Array, Array, Array | None]:
-        """Compute potential [J], forces and friction on obstacles at positions x [m].
+        """Compute potential [J], forces and friction of contact at positions x [m].
 
         Forces are the gradient of the potential and friction, which has none [N];
         without any, it is None.
         """
         energy, force = jnp.zeros(()), jnp.zeros_like(x)
+        if self.touching is not None:
+            by = self.scale, self.stiffness
+            energy, force = self.touching.energy_and_force(x, *by)
         friction = jnp.zeros_like(x) if any(self.sticks) else None
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
             parts, along, touches = jax.vmap(partial(self._face, k))(z, area, start)
-            stored = jnp.sum(area * _cushion(touches.depth, self.scale))
+            stored = jnp.sum(area * cushion(touches.depth, self.scale))
             energy = energy + self.stiffness * stored
             force = self._added(k, force, parts)
             if friction is not None and self.sticks[k]:
@@ -284,18 +291,34 @@ class Contacts(Module):
         *,
         tamed: bool | Bool[Array, ""] = False,
     ) -> tuple[Float[Array, "n_faces _ _"], ...]:
-        """Differentiate the force of each clique by the positions of its nodes [N/m].
+        """Differentiate the forces on obstacles by the nodes of each clique [N/m].
 
-        It is exact unless `tamed`: then the curvature of obstacles counts as if no
-        pressure were above E. Newton's method comes across such pressures while an
-        obstacle moves in, and with them the tangent would be far from positive
-        definite.
+        It is exact unless `tamed`: then curvature counts as if no pressure were above
+        E. Newton's method comes across such pressures while an obstacle moves in, and
+        with them the tangent would be far from positive definite.
         """
-        pressure = partial(_tamed, jnp.where(tamed, 1.0, jnp.inf))
+        pressure = _pressure_of(tamed)
         return tuple(
             self._stiffness_of(k, x, standing, pressure)
             for k in range(self.n_obstacles)
         )
+
+    def add_touching(
+        self,
+        x: Float[Array, "n_points 3"],
+        values: Float[Array, " nnz"],
+        add: Callable[[Array, Array, Array], Array],
+        *,
+        tamed: bool | Bool[Array, ""] = False,
+    ) -> Float[Array, " nnz"]:
+        """Add to values what `tangents` are to obstacles, of surfaces that touch [N/m].
+
+        `add` adds matrices of cliques of the last kind in `cliques`, and their numbers.
+        """
+        if self.touching is None:
+            return values
+        of_contact = self.scale, self.stiffness, _pressure_of(tamed)
+        return self.touching.add_tangents(x, *of_contact, values, add)
 
     def _stiffness_of(self, k: int, x, standing: Standing, pressure):
         z, area, start = self._positions(k, x, standing)
@@ -322,12 +345,14 @@ class Contacts(Module):
         after: Float[Array, "n_points 3"],
         standing: Standing,
     ) -> Bool[Array, ""]:
-        """Tell whether a point comes too deep into an obstacle on a straight way.
+        """Tell whether a point comes too deep into what it meets on a straight way.
 
         Points are looked for at few places of the way. A distance changes by at most
         the way, so that half the way between two places counts as depth.
         """
         through = jnp.zeros((), bool)
+        if self.touching is not None:
+            through = self.touching.passes_through(before, after)
         for k in range(self.n_obstacles):
             z, area, _ = self._positions(k, before, standing)
             to, *_ = self._positions(k, after, standing)
@@ -347,7 +372,7 @@ class Contacts(Module):
     def states(
         self, x: Float[Array, "n_points 3"], standing: Standing
     ) -> tuple[ContactState, ...]:
-        """Compute what each obstacle feels at positions of all nodes [m]."""
+        """Compute what each obstacle, and each surface, feels at positions x [m]."""
         states = []
         for k in range(self.n_obstacles):
             z, area, start = self._positions(k, x, standing)
@@ -369,18 +394,29 @@ class Contacts(Module):
                     / jnp.where(total > 0.0, total, 1.0),
                 )
             )
+        if self.touching is not None:
+            felt = self.touching.states(x, self.scale, self.stiffness)
+            no = jnp.zeros(())
+            for name, values in zip(self.touching.names, felt, strict=True):
+                states.append(ContactState(name=name, sliding=no, **values))
         return tuple(states)
 
     @eqx.filter_jit
-    def depths_at_start(self, standing: Standing) -> Float[Array, " n_obstacles"]:
-        """Compute how deep the body at rest lies in obstacles before the load [m]."""
+    def depths_at_start(self, standing: Standing) -> Float[Array, " n"]:
+        """Compute how deep the body at rest lies in what it may touch [m].
+
+        That is before the load, in the order of `touched`.
+        """
         x, depths = jnp.asarray(self.rest), jnp.zeros(self.n_obstacles)
         for k, frame in enumerate(self.frames):
             x = x.at[frame].set(standing.start[k])
             z, area, _ = self._positions(k, x, standing)
             gap = jax.vmap(partial(self._gaps, k))(z)
             depths = depths.at[k].set(jnp.max(jnp.where(area > 0.0, -gap, 0.0)))
-        return depths
+        if self.touching is None:
+            return depths
+        felt = self.touching.states(x, self.scale, self.stiffness)
+        return jnp.concatenate([depths, jnp.stack([of["depth"] for of in felt])])
 
 
 def build_contacts(
@@ -390,19 +426,19 @@ def build_contacts(
     *,
     length: Float[HostArray, ""],
     scale: float | None,
+    touching: Touching | None = None,
 ) -> Contacts:
     """Collect the faces of a mesh and the obstacles; arrays are empty without any.
 
     Its stiffness is one until the law is known. The scale is by default `FINE` of the
-    mean size of a face [m].
+    mean size of a face [m]; for the rest see `Touching`.
     """
     n_obstacles = len(obstacles)
     none = np.zeros((0, 3 if mesh.order == 1 else 6), np.int32)
     faces = boundary_faces(mesh) if obstacles else none
     areas, N = face_areas(mesh, faces)
     if scale is None:
-        mean = np.sqrt(2.0 * areas.sum() / max(1, len(faces)))
-        scale = FINE * float(mean) if obstacles else 1.0
+        scale = FINE * face_size(mesh) if obstacles or touching is not None else 1.0
     pad = -len(faces) % BLOCK
     apart = [~np.isin(faces, o.nodes).all(axis=1) for o in obstacles]
     of_each = np.reshape(apart, (n_obstacles, len(faces), 1)) * areas
@@ -422,6 +458,7 @@ def build_contacts(
         shapes=tuple(jax.tree.map(to_array, o.shape) for o in obstacles),
         body=tuple(o.body for o in obstacles),
         friction=np.array([o.friction for o in obstacles], float),
+        touching=touching,
         sticks=tuple(o.friction > 0.0 for o in obstacles),
         names=tuple(o.name for o in obstacles),
     )

@@ -62,6 +62,8 @@ def build_model(
     formulation: Literal["auto"] | Formulation = "auto",
     solver: str | None = None,
     contact_scale: float | None = None,
+    touching: Sequence[tuple[str, str]] = (),
+    touching_reach: float | None = None,
     shapes: Mapping[str, Float[ArrayLike, "n_nodes 3"]] | None = None,
 ) -> Model:
     """Prepare a model for equilibrium: shape gradients, sparsity, symbolic analysis.
@@ -88,9 +90,16 @@ def build_model(
             the platform; or "pardiso-host", the default where JAX computes on a GPU
             (extra `gpu`). "none" prepares none: such a model can be looked at, not
             solved.
-        contact_scale: Thickness of the cushion between the body and obstacles, see
+        contact_scale: Thickness of the cushion between surfaces that touch, see
             `softcal_jax.contact`; the error of contact is in proportion to it. By
             default a two-hundredth of the mean size of the surface's faces [m].
+        touching: Pairs of surface groups that may touch each other, without friction,
+            like [["upper", "lower"]]; a group twice where it may touch itself.
+            Elsewhere contact of the body with itself is only detected.
+        touching_reach: How far beside its mirror image on the other surface, as they
+            lie at rest, a face may meet it; the tangent couples all that can meet. By
+            default twice the mean size of the faces, and a quarter of their distance
+            [m].
         shapes: Ways in which the shape may be off, by name: motions of all nodes per
             metre of an offset, as of `surface_motion` [-]. See `fields.shape_offset`.
 
@@ -107,15 +116,23 @@ def build_model(
     """
     check_process()
     kind = solver_kind(solver)
-    given = law, density, contact_scale
+    given = law, density, contact_scale, touching_reach
     check_untraced("a number of the model", given, "law and density", "set_field")
     law = with_arrays(law)
     check_fields(law, mesh.n_tets, density)
     density = _checked_density(density)
     solved = kind is not NoSolver
-    _check_scale(contact_scale)
-    options = {"at_rest": solved, "contact_scale": contact_scale}
-    mechanism = build_mechanism(mesh, bodies, actuators, **options)
+    _check_length("contact_scale", contact_scale)
+    _check_length("touching_reach", touching_reach)
+    mechanism = build_mechanism(
+        mesh,
+        bodies,
+        actuators,
+        at_rest=solved,
+        contact_scale=contact_scale,
+        touching=touching,
+        touching_reach=touching_reach,
+    )
     check_mesh(mesh, linked=_linked(mechanism))
     across = float(np.ptp(mesh.points, axis=0).max())
     if across > LONGEST:
@@ -307,19 +324,24 @@ def _checked_shapes(shapes: Mapping[str, Any], mesh: TetMesh) -> Shapes:
     return Shapes(of_arrays[0], of_arrays[1], names=tuple(shapes))
 
 
-def _check_scale(scale: float | None) -> None:
-    if scale is not None and not 0.0 < scale < np.inf:
-        raise ValueError(
-            f"contact_scale must be positive and finite [m], got {scale:g}."
-        )
+def _check_length(name: str, length: float | None) -> None:
+    if length is not None and not 0.0 < length < np.inf:
+        raise ValueError(f"{name} must be positive and finite [m], got {length:g}.")
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:
-    """Return sets of nodes held together: by each body, or by motors on the ground."""
+    """Return sets of nodes that something links.
+
+    That is each body, motors on the ground, or surfaces that may touch each other.
+    """
     bodies = mechanism.bodies
     owner = bodies.owner[bodies.body]
     driven = np.isin(owner, mechanism.actuators.motor_body)
     sets = [bodies.attached[(owner == k) & ~driven] for k in range(bodies.n_bodies)]
+    touching = mechanism.contacts.touching
+    if touching is not None:
+        names = range(len(touching.names))
+        sets += [touching.cliques()[touching.of == k].ravel() for k in names]
     return [nodes for nodes in (bodies.attached[driven], *sets) if nodes.size]
 
 

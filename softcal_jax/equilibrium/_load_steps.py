@@ -260,7 +260,7 @@ class LoadSteps:
             load = jnp.where(warm, jnp.ones(()), load)
             lambda_a = jnp.where(warm, estimated_forces(self.posed, point), 0.0)
         anchor = None
-        if self.posed.contacts.n_obstacles > 0:
+        if self.posed.contacts.can_touch:
             g, _ = unbalanced(self.posed, rest, jnp.zeros_like(rest.delta_a))
             force = jnp.sum(jnp.abs(self.posed.on_free(rest.u, g)))
             motion = _FIRST_MOTION * self.model.mechanism.bodies.length

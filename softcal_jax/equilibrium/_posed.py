@@ -217,16 +217,17 @@ class Posed(NamedTuple):
 
     @property
     def standing(self) -> Standing:
-        """How the obstacles stand; only if there are any."""
-        assert self.states is not None
+        """How the obstacles stand."""
+        if self.states is None:
+            return Standing(jnp.zeros(0, bool), jnp.zeros((0, 4, 3)))
         return self.model.mechanism.standing(self.states)
 
     def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal, Nodal | None]:
-        """Compute energy and forces of the nodes on obstacles, and friction [J, N].
+        """Compute energy and forces of contact on the nodes, and friction [J, N].
 
         Friction is among the forces; None without any.
         """
-        if self.contacts.n_obstacles == 0:
+        if not self.contacts.can_touch:
             return jnp.zeros(()), jnp.zeros_like(u), None
         x = self.model.positions(u)
         return self.contacts.energy_and_force(x, self.standing)
@@ -235,18 +236,24 @@ class Posed(NamedTuple):
         self, u: Nodal, values: Float[Array, " nnz"], *, tamed
     ) -> Float[Array, " nnz"]:
         """Add contact to the tangent over all nodes, see `Contacts.tangents` [N/m]."""
-        if self.contacts.n_obstacles == 0:
+        if not self.contacts.can_touch:
             return values
-        x, pattern = self.model.positions(u), self.model.pattern
+        x, symmetric = self.model.positions(u), self.model.pattern.symmetric
+        all_at = self.model.contact_at
+
+        def add(values, matrices, places):
+            p, q = element_entries(matrices.shape[1] // 3, symmetric)
+            return values.at[places].add(matrices[:, p, q].T)
+
         stiffness = self.contacts.tangents(x, self.standing, tamed=tamed)
-        for matrices, places in zip(stiffness, self.model.contact_at, strict=True):
-            p, q = element_entries(matrices.shape[1] // 3, pattern.symmetric)
-            values = values.at[places].add(matrices[:, p, q].T)
-        return values
+        for matrices, at in zip(stiffness, all_at, strict=False):
+            values = add(values, matrices, at)
+        of_pairs = lambda v, K, which: add(v, K, jnp.asarray(all_at[-1])[:, which])
+        return self.contacts.add_touching(x, values, of_pairs, tamed=tamed)
 
     def contact_states(self, u: Nodal) -> tuple[ContactState, ...]:
-        """Compute what each obstacle feels."""
-        if self.contacts.n_obstacles == 0:
+        """Compute what each obstacle feels, then each surface that may be touched."""
+        if not self.contacts.can_touch:
             return ()
         states = self.contacts.states(self.model.positions(u), self.standing)
         none = lambda c, value: without_derivative(value, jnp.sum(c.force))
@@ -255,8 +262,8 @@ class Posed(NamedTuple):
         )
 
     def passes_through(self, before: Nodal, after: Nodal) -> Bool[Array, ""]:
-        """Tell whether the surface comes too deep into an obstacle on its way."""
-        if self.contacts.n_obstacles == 0:
+        """Tell whether the surface comes too deep into what it meets on its way."""
+        if not self.contacts.can_touch:
             return jnp.zeros((), bool)
         x, y = self.model.positions(before), self.model.positions(after)
         return self.contacts.passes_through(x, y, self.standing)

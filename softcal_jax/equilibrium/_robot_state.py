@@ -86,7 +86,8 @@ class ObservedState(NamedTuple):
         actuator_displacements: delta_a of all actuators, in their units.
         body_rotations: Rotations of rigid bodies from rest, as matrices [-].
         ground_forces: Forces with which the ground holds the nodes [N].
-        contacts: What each obstacle feels, in the order of `Mechanism.contacts`.
+        contacts: What each obstacle feels, then each surface that another may touch, in
+            the order of `Mechanism.contacts`.
     """
 
     displacement: Nodal
@@ -239,7 +240,7 @@ class RobotState(Module):
 
     Attributes:
         reactions: Of supports, then of rigid bodies that are held or turn on a hinge.
-        contacts: With the obstacles that are there.
+        contacts: With the obstacles that are there, and of the body with itself.
         displacement: Displacement of the nodes of mesh and body frames [m].
     """
 
@@ -268,9 +269,11 @@ def robot_states(
 
     `solution` has one lane per configuration; `arrays` are the configurations, if
     already stacked. The state is None for a lane without equilibrium, and for all lanes
-    of a model without rigid bodies and actuators.
+    of a model without rigid bodies, actuators and surfaces that may touch.
     """
-    if model.mechanism.bodies.n_bodies + model.mechanism.n_actuators == 0:
+    mechanism = model.mechanism
+    n = mechanism.bodies.n_bodies + mechanism.n_actuators
+    if n == 0 and not mechanism.contacts.can_touch:
         return (None,) * len(configurations)
     if arrays is None:
         arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
@@ -310,8 +313,9 @@ def _state(
     plain = lambda leaf: leaf if leaf.ndim else float(leaf)
     contacts = (
         jax.tree.map(plain, felt)
-        for k, felt in zip(obstacles.body, state.contacts, strict=True)
-        if KINDS[int(of_bodies[bodies.owner[k]])] != "absent"
+        for k, felt in enumerate(state.contacts)
+        if k >= obstacles.n_obstacles
+        or KINDS[int(of_bodies[bodies.owner[obstacles.body[k]]])] != "absent"
     )
     return RobotState(tuple(places), actuators, tuple(reactions), tuple(contacts), u)
 

@@ -32,10 +32,12 @@ _ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
 def check_no_bodies(model: Model, format: str) -> None:
     """Raise ValueError if a robot has obstacles or rigid bodies."""
-    names = ", ".join(model.mechanism.contacts.names)
+    contacts = model.mechanism.contacts
+    names = ", ".join(contacts.touched)
     if names:
+        what = "obstacles" if contacts.names else "itself"
         raise ValueError(
-            f"the robot touches obstacles ({names}), and contact is not written to "
+            f"the robot touches {what} ({names}), and contact is not written to "
             f"{format}. Take them out of the project, with what was measured while it "
             "touched them, and calibrate again."
         )

@@ -224,7 +224,9 @@ def _obstacles(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:
     mechanism = model.mechanism
     which = mechanism.bodies.owner[list(mechanism.contacts.body)]
     stands = np.any(arrays.bodies.is_present[:, which], axis=1)
-    return {"": tuple("" if some else None for some in stands)} if which.size else {}
+    stands |= mechanism.contacts.touching is not None
+    met = mechanism.contacts.can_touch
+    return {"": tuple("" if some else None for some in stands)} if met else {}
 
 
 def _pulled(model: Any, arrays: Any, _: Any) -> Mapping[str, Scope]:

@@ -54,6 +54,7 @@ def self_contact(
     *,
     carrier: Int[HostArray, " n_nodes"] | None = None,
     placed: Bool[HostArray, " n_nodes"] | None = None,
+    within: Float[HostArray, " n_nodes"] | None = None,
 ) -> SelfContact | None:
     """Find nodes of the surface that a displacement [m] moves into the body elsewhere.
 
@@ -73,6 +74,7 @@ def self_contact(
             node does not touch tets that its own body moves, wholly or in part.
         placed: Whether the place of each node is imposed, as by a clamp. Such nodes do
             not touch what is between such nodes alone.
+        within: Depth of each node that does not count [m].
 
     Returns:
         The nodes and their depths; None without any.
@@ -91,7 +93,10 @@ def self_contact(
     if not node.size:
         return None
     depth = _depth(mesh, np.einsum("na,nai->ni", N, mesh.points[mesh.tets[tet]]))
-    order = np.argsort(-depth)[: np.sum(depth > _LEAST * mesh.size)]
+    least = np.zeros(mesh.n_nodes) if within is None else within
+    counts = depth > np.maximum(_LEAST * mesh.size, least[node])
+    node, depth = node[counts], depth[counts]
+    order = np.argsort(-depth)
     if not order.size:
         return None
     # A node may lie on a face of two tets.

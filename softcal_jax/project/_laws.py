@@ -87,6 +87,8 @@ class Material(_OfLaw):
     density: typed.Density = Field(description=DENSITY["words"])
     formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
     contact_scale: typed.PositiveLength | None = None
+    touching: list[tuple[str, str]] = Field(default_factory=list)
+    touching_reach: typed.PositiveLength | None = None
     regions: dict[str, Any] = Field(default_factory=dict)
 
     def constant(self, key: str, region: str | None = None) -> float:

@@ -185,6 +185,8 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
             actuators=actuators,
             formulation=table.material.formulation,
             contact_scale=table.material.contact_scale,
+            touching=table.material.touching,
+            touching_reach=table.material.touching_reach,
             solver=solver,
             shapes=shapes,
         )

@@ -298,7 +298,7 @@ def _work(model: Model, seen: _Seen) -> float:
     """
     mesh, mechanism = model.mesh, model.mechanism
     poses = [seen.c] if seen.before is None else [seen.c, seen.before]
-    others = any(c.actuation or c.bodies for c in poses) or mechanism.contacts.names
+    others = any(c.actuation or c.bodies for c in poses) or mechanism.contacts.touched
     if others or np.any(np.asarray(mechanism.actuators.motor_body) >= 0):
         return 1.0
     mass, bodies = np.zeros(mesh.n_nodes), mechanism.bodies

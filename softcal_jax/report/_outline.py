@@ -164,6 +164,8 @@ def _obstacles(model: Model) -> Iterator[tuple[str, ...]]:
     shapes = (type(shape).__name__ for shape in contacts.shapes)
     friction = (f"{value:g}" if value else "-" for value in contacts.friction)
     yield from zip(contacts.names, shapes, friction, strict=True)
+    for name in contacts.touched[contacts.n_obstacles :]:
+        yield name, "surfaces of the body", "-"
 
 
 def _actuators(model: Model) -> Table:

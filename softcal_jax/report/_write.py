@@ -325,7 +325,8 @@ def _write_bodies(
             written.append(f"{stem}.vtu")
             path = folder / written[-1]
             export.write_vtu(path, model, pose.displacement, standard_errors=errors)
-            if pose.robot is not None:
+            parts = model.mechanism.bodies.n_bodies + model.mechanism.n_actuators
+            if pose.robot is not None and parts > 0:
                 written.append(f"{stem}_robot.vtu")
                 export.write_robot_vtu(folder / written[-1], model, pose.robot)
             bodies.append(list(written))
