@@ -70,13 +70,14 @@ class System(NamedTuple):
         *,
         transpose: bool = False,
         near: bool = False,
+        exact: bool = False,
     ) -> Bordered:
         """Solve for steps from forces and gaps; `transpose`: K^T, F_a and H_a swapped.
 
-        `near`: the matrix is near the last that was factorized, see
-        `AbstractLinearSolver.solve_near`.
+        `near`: the matrix is near the last that was factorized, or may be; then `exact`
+        is that of `AbstractLinearSolver.solve_near`.
         """
-        how = partial(_solve, transpose=transpose, near=near)
+        how = partial(_solve, transpose=transpose, near=near, exact=exact)
         solve = jax.custom_batching.custom_vmap(how)
 
         @solve.def_vmap
@@ -114,12 +115,13 @@ def _solve(
     *,
     transpose: bool,
     near: bool,
+    exact: bool,
 ) -> Bordered:
     n_rhs, n_m = gap.shape
     factor_solve = partial(solver.factor_solve, transpose=transpose)
     # Without a potential, the transposed matrix is another one.
     near = near and not (transpose and not solver.sparsity.symmetric)
-    solve = solver.solve_near if near else factor_solve
+    solve = partial(solver.solve_near, exact=exact) if near else factor_solve
     if n_m == 0:
         solved = solve(system.values, force)
         none = jnp.zeros((0, 0))

@@ -35,6 +35,9 @@ class LinearSolution(NamedTuple):
 REFINED = 1e-6
 """Residual over its right-hand side at which a solution belongs to its matrix [-]."""
 
+_ROUNDING = 4.0 * np.finfo(float).eps
+"""Backward error at which a solution is as good as that of a factorization [-]."""
+
 
 class AbstractLinearSolver(Module):
     """A solver for matrices of one sparsity pattern, symmetric or not."""
@@ -43,6 +46,7 @@ class AbstractLinearSolver(Module):
     name: ClassVar[str]
     can_count: ClassVar[bool] = True
     runs_in_threads: ClassVar[bool] = True
+    keeps_factors: ClassVar[bool] = False
 
     @property
     def solves_per_factor(self) -> float | Float[Array | HostArray, ""]:
@@ -108,18 +112,29 @@ class AbstractLinearSolver(Module):
         return self._factor_solve(values, rhs)[0]
 
     def solve_near(
-        self, values: Float[Array, " nnz"], rhs: Float[Array, "n_rhs n_dof"]
+        self,
+        values: Float[Array, " nnz"],
+        rhs: Float[Array, "n_rhs n_dof"],
+        *,
+        exact: bool = False,
     ) -> LinearSolution:
         """Solve with the factors of the last `factor_solve`, of a matrix that is near.
 
         Iterative refinement (Higham, Accuracy and Stability of Numerical Algorithms,
-        2002, ch. 12) goes on until the residual of every right-hand side is small, as
-        long as it seems to end before a factorization would. Otherwise the matrix is
-        factorized, as where another program replaced the factors. Negative eigenvalues
-        are only counted then.
+        2002, ch. 12) goes on until the residual of every right-hand side is small, or
+        mere rounding if `exact` (the backward error of ch. 7), as long as it seems to
+        end before a factorization would. Otherwise the matrix is factorized, as where
+        another program replaced the factors, or the solver keeps none. Negative
+        eigenvalues are only counted then.
         """
+        if not self.keeps_factors:
+            return self.factor_solve(values, rhs)
         times = lambda x: product(self.sparsity, values, x)
         size = jnp.maximum(jnp.linalg.norm(rhs, axis=1), jnp.finfo(rhs.dtype).tiny)
+        largest, tolerance = 0.0, REFINED
+        if exact:
+            row_sums = product(self.sparsity, jnp.abs(values), jnp.ones(rhs.shape[1]))
+            largest, tolerance = jnp.max(row_sums), _ROUNDING
         # What is left may take as long as a factorization with its own solve.
         most = self.solves_per_factor / len(rhs) + 1.0
 
@@ -128,20 +143,21 @@ class AbstractLinearSolver(Module):
             x = x + self.solve_again(values, left)
             left = rhs - jax.lax.map(times, x)
             # One by one: in a sum of them, residuals may cancel.
-            ratio = jnp.max(jnp.linalg.norm(left, axis=1) / size)
+            whole = size + largest * jnp.linalg.norm(x, axis=1)
+            ratio = jnp.max(jnp.linalg.norm(left, axis=1) / whole)
             return x, left, ratio, count + 1.0
 
         def worth_it(carry):
             _, _, ratio, count = carry
             # By the rate so far, which is none where the ratio is 1 or more.
-            whole = count * jnp.log(REFINED) / jnp.minimum(jnp.log(ratio), -1e-9)
-            return (ratio > REFINED) & (whole - count <= most)
+            whole = count * np.log(tolerance) / jnp.minimum(jnp.log(ratio), -1e-9)
+            return (ratio > tolerance) & (whole - count <= most)
 
         begun = refine((jnp.zeros_like(rhs), rhs, jnp.ones(()), jnp.zeros(())))
         x, _, ratio, _ = jax.lax.while_loop(worth_it, refine, begun)
         refined = lambda: (x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
         anew = lambda: tuple(self.factor_solve(values, rhs))
-        return LinearSolution(*jax.lax.cond(ratio <= REFINED, refined, anew))
+        return LinearSolution(*jax.lax.cond(ratio <= tolerance, refined, anew))
 
 
 _Options = tuple[tuple[int, int], ...]
@@ -231,6 +247,7 @@ class Pardiso(AbstractLinearSolver):
     spare: "Pardiso | None" = None
     devices: Any = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
+    keeps_factors: ClassVar[bool] = True
 
     @classmethod
     def analyse(cls, sparsity):

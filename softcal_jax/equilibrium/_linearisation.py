@@ -150,7 +150,9 @@ def _solve_linearly(
     def solve(_, b, *, transpose=False):
         below = b[:, n_dof:]
         wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
-        solved = system.solve(model.solver, b[:, :n_dof], wanted, transpose=transpose)
+        # Derivatives of derivatives solve with the same matrix again.
+        how = {"transpose": transpose, "near": True, "exact": True}
+        solved = system.solve(model.solver, b[:, :n_dof], wanted, **how)
         lam = jnp.where(active[None], solved.lambda_a, below) if n_m > 0 else below
         # A derivative that does not exist must not be mistaken for zero.
         return jnp.where(solved.ok, join(solved.x, lam), jnp.nan)

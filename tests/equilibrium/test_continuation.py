@@ -398,6 +398,7 @@ class Forgetful(AbstractLinearSolver):
     sparsity: Sparsity
     real: AbstractLinearSolver
     name: ClassVar[str] = "forgetful"
+    keeps_factors: ClassVar[bool] = MODEL.solver.keeps_factors
     can_count: ClassVar[bool] = MODEL.solver.can_count
 
     @classmethod

@@ -1,5 +1,7 @@
 """The sparse solvers of all platforms give one solution; errors before any of them."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,8 +23,14 @@ from bodies import (
     stiffness,
 )
 
+from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import configuration_arrays
-from softcal_jax.equilibrium import _solver_choice, build_model, tangent_values
+from softcal_jax.equilibrium import (
+    _solver_choice,
+    build_model,
+    solve_equilibrium,
+    tangent_values,
+)
 from softcal_jax.equilibrium._balance import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
@@ -30,10 +38,17 @@ from softcal_jax.equilibrium._linear_solver import (
     _NESTED,
     _PER_SOLVE,
     REFINED,
+    AbstractLinearSolver,
     Klu,
     Pardiso,
 )
-from softcal_jax.equilibrium._sparsity import from_entries, mask_supports, product
+from softcal_jax.equilibrium._sparsity import (
+    Sparsity,
+    from_entries,
+    mask_supports,
+    product,
+)
+from softcal_jax.fields import set_field
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
@@ -391,6 +406,72 @@ def test_a_matrix_is_factorized_where_that_takes_less_time_than_refining():
         assert (int(solved.n_negative) >= 0) == factorized, solves
         left = jax.vmap(lambda row: product(sparsity, other, row))(solved.x) - rhs
         assert np.all(np.abs(left) <= 1e-5)
+
+
+class Counted(AbstractLinearSolver):
+    """A solver that counts its factorizations; `spoiled` factors are of another."""
+
+    sparsity: Sparsity
+    real: AbstractLinearSolver
+    spoiled: Float[Array, ""]
+    name: ClassVar[str] = "counted"
+    keeps_factors: ClassVar[bool] = True
+    factorizations: ClassVar[list[int]] = []
+
+    @property
+    def solves_per_factor(self):
+        return self.real.solves_per_factor
+
+    @classmethod
+    def analyse(cls, sparsity):
+        return cls(sparsity, small_model("pardiso").solver, jnp.ones(()))
+
+    def _factor_solve(self, values, rhs):
+        def count(x):
+            self.factorizations.append(len(x))
+            return x
+
+        x, n_negative, ok = self.real._factor_solve(values, rhs)
+        return jax.pure_callback(count, x, x), n_negative, ok
+
+    def solve_again(self, values, rhs):
+        return self.spoiled * self.real.solve_again(values, rhs)
+
+
+def test_products_with_the_hessian_factorize_nothing():
+    """Both solves take factors that are there, or new ones if those are of another."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    model = small_model("pardiso")
+    solver = Counted.analyse(model.solver.sparsity)
+    model = eqx.tree_at(lambda m: m.solver, model, solver)
+    hanging_lane = lane(small_lanes(hanging()), 0)
+    along = jnp.asarray(np.random.default_rng(0).normal(size=(4, model.mesh.n_tets)))
+
+    @jax.jit
+    def products(E, along, spoiled):
+        of_another = eqx.tree_at(lambda m: m.solver.spoiled, model, spoiled)
+
+        def energy(E):
+            body = set_field(of_another, "E", E)
+            found = solve_equilibrium(body, hanging_lane, settings=TIGHT)
+            return jnp.sum(found.displacement**2)
+
+        slope, product_with = jax.linearize(jax.grad(energy), E)
+        return slope, jax.lax.map(product_with, along)
+
+    E = jnp.full(model.mesh.n_tets, YOUNG)
+    counts, found = [], []
+    for n, spoiled in ((1, 1.0), (4, 1.0), (1, 2.0), (4, 2.0)):
+        Counted.factorizations.clear()
+        slope, of_along = jax.block_until_ready(products(E, along[:n], spoiled))
+        counts.append(len(Counted.factorizations))
+        found.append((slope, of_along[0]))
+    assert counts[0] == counts[1]
+    assert counts[3] - counts[2] == 3 * 2
+    for actual in found[1:]:
+        for value, expected in zip(actual, found[0], strict=True):
+            scale = float(jnp.max(jnp.abs(expected)))
+            np.testing.assert_allclose(value, expected, rtol=0, atol=1e-9 * scale)
 
 
 def test_a_factorization_takes_the_time_of_more_solves_in_a_bulky_body():
