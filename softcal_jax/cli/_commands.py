@@ -337,8 +337,7 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     n = sum(len(project.calibration) + 1 for project in projects)
     show.note(f"{n} fits, each to all configurations or to all but one")
     with cli.no_equilibrium("Nothing was written."):
-        progress = lambda name: show.now(f"fits of {name}")
-        comparison = compare_projects(projects, progress=progress)
+        comparison = compare_projects(projects, progress=show.now)
     show.lap("solve")
     named = projects_by_name(projects).items()
     made = {name: _made(project) for name, project in named}

@@ -6,7 +6,7 @@ They are fitted to all configurations but one, and predict that one (Sec. V-C).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import unstacked
+from softcal_jax._process import progress_line
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     Begun,
@@ -45,12 +46,15 @@ from softcal_jax.layouts._model_comparison import (
 )
 from softcal_jax.unknowns import Problem
 
-FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
-"""Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
+FOR_PREDICTION = CalibrationSettings(tol=1e-5, max_steps=200)
+"""Settings of the fits: loose, since 0.001 % of a modulus changes no prediction.
 
 Along directions that the data hardly see a fit creeps. A layout with many points has
 such directions, so more steps are allowed.
 """
+
+
+Progress = Callable[[str], None] | Literal[False] | None
 
 
 class _Fit(NamedTuple):
@@ -95,26 +99,51 @@ def _fit(
     problem: Problem,
     settings: CalibrationSettings,
     starts: Sequence[Float[Array, " n_p"]],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[_Fit]:
-    """Fit all configurations but each one, then all, side by side."""
-    images = images_of(problem.space, mirror=True)
+    """Fit all configurations but each one, side by side, and all; these come last.
 
-    def fit(whole: Evaluator, fitted: Bool[HostArray, " n_c"]) -> _Fit:
-        evaluator = Evaluator(_fold_problem(problem, fitted), whole.workers)
-        ended: list[Begun] = []
-        for z in starts:
+    The fit to all comes first, and searches from every start. Each fold begins where it
+    ended, and at the other optima that it found, near which its own lie; it goes on to
+    its own end.
+    """
+    n_c = len(problem.poses)
+
+    def fit(
+        fitted: Bool[HostArray, " n_c"],
+        starts: Sequence[Array | HostArray],
+        *,
+        mirror: bool,
+    ) -> tuple[_Fit, list[HostArray]]:
+        """Return the best fit from some starts; its end, then others, lowest first."""
+        evaluator = Evaluator(_fold_problem(problem, fitted), workers)
+        images, ended = images_of(problem.space, mirror=mirror), list[Begun]()
+        for z in map(jnp.asarray, starts):
             known = known_optima(ended, images)
             ended.append(run_start(evaluator, settings, z, images=images, known=known))
         runs = [begun.best for begun in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
-        return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
+        after = whole.from_rest(jnp.asarray(run.z))
+        optima = sorted(known_optima(ended, images), key=lambda optimum: optimum.cost)
+        ends = [run.z, *(optimum.z for optimum in optima)]
+        return _Fit(fitted, run, after), ends
 
-    n_c = len(problem.poses)
-    folds = [*~np.eye(n_c, dtype=bool), np.ones(n_c, bool)]
-    with Workers(problem.model, n_c * (n_c + 1)) as workers:
+    def without(pose: int) -> _Fit:
+        fitted = np.arange(n_c) != pose
+        fold, _ = fit(fitted, ends or starts, mirror=not ends)
+        done.append(pose)
+        progress(f"{len(done)} of {n_c} fits to all configurations but one")
+        return fold
+
+    done: list[int] = []
+    with Workers(problem.model, n_c * n_c) as workers:
         whole = Evaluator(problem, workers)
-        return workers.side_by_side(partial(fit, whole, fold) for fold in folds)
+        progress("fit to all configurations")
+        last, ends = fit(np.ones(n_c, bool), starts, mirror=True)
+        ends = ends if np.isfinite(last.run.cost) else []
+        folds = workers.side_by_side(partial(without, pose) for pose in range(n_c))
+    return [*folds, last]
 
 
 def _score(name: str, problem: Problem, fits: list[_Fit]) -> ModelScore:
@@ -178,6 +207,7 @@ def compare_layouts(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
+    progress: Progress = None,
 ) -> ModelComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -202,6 +232,7 @@ def compare_layouts(
         starts=starts,
         seed=seed,
         uncertain=uncertain,
+        progress=progress,
     )
 
 
@@ -214,6 +245,7 @@ def compare_laws(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
+    progress: Progress = None,
 ) -> ModelComparison:
     """Find the law, or the mesh, that best predicts what it was not fitted to.
 
@@ -243,6 +275,8 @@ def compare_laws(
         seed: Seed of the random starts.
         uncertain: How well everything that is not calibrated is known; offsets of
             recordings belong to the noise. By default nothing is uncertain.
+        progress: Called with what is under way, as fits begin or end. By default, on a
+            terminal and in notebooks, a line says it; False switches it off.
 
     Returns:
         The models, the best first, and what sets them apart. A fold that did not
@@ -262,7 +296,8 @@ def compare_laws(
             )
         except ValueError as error:
             raise ValueError(f"{name!r}: {error}") from error
-    return compare_models(problems, settings=settings, starts=starts, seed=seed)
+    options = {"settings": settings, "starts": starts, "seed": seed}
+    return compare_models(problems, **options, progress=progress)
 
 
 def compare_models(
@@ -271,11 +306,9 @@ def compare_models(
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = None,
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
-
-    `progress` is called with the name of each model before it is fitted.
 
     Raises:
         ValueError: If there is no model, fewer than two configurations, or the models
@@ -291,14 +324,16 @@ def compare_models(
         )
     _check_same_data(problems)
     scores = []
-    for name, problem in problems.items():
-        space, n = problem.space, number_of_starts(problem.space, starts, None)
-        progress(name)
-        begin = [space.admissible(space.start())]
-        if n > 1:
-            begin += unstacked(random_starts(space, n - 1, seed=seed))
-        fits = _fit(problem, settings or FOR_PREDICTION, begin)
-        scores.append(_score(name, problem, fits))
+    with progress_line(wanted=progress is None) as line:
+        tell = progress or line or (lambda _: None)
+        for name, problem in problems.items():
+            space, n = problem.space, number_of_starts(problem.space, starts, None)
+            begin = [space.admissible(space.start())]
+            if n > 1:
+                begin += unstacked(random_starts(space, n - 1, seed=seed))
+            of_name = lambda text, name=name: tell(f"{name}: {text}")
+            fits = _fit(problem, settings or FOR_PREDICTION, begin, of_name)
+            scores.append(_score(name, problem, fits))
     return ModelComparison.ranked(scores)
 
 

@@ -329,7 +329,9 @@ class Project(Module):
 
 
 def compare_projects(
-    projects: Sequence[Project], *, progress: Callable[[str], None] = lambda _: None
+    projects: Sequence[Project],
+    *,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the project whose law, mesh or parameters best predict held-out data.
 
@@ -338,7 +340,7 @@ def compare_projects(
 
     Args:
         projects: Projects of the same configurations and measurements, in any order.
-        progress: Called with the name of each project before it is fitted.
+        progress: See `compare_laws`.
 
     Raises:
         ProjectError: If there are fewer than two projects, or one has nothing to

@@ -153,20 +153,18 @@ def test_fit_of_everything_and_its_identifiability(comparison, data):
 
 @COMPARED
 def test_what_is_held_out_cannot_touch_the_fit(data):
-    """Its measurement may be anything: the fit is the same to the last bit."""
+    """Its measurement may be anything: the fit ends where it did, begun elsewhere."""
     problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
-    z = []
+    settings, z = _compare.FOR_PREDICTION, []
     for shift in (0.0, 0.1):
         wild = eqx.tree_at(
             lambda p: p.configurations.effectors.measured,
             problem,
             problem.configurations.effectors.measured.at[1].add(shift),
         )
-        start = problem.space.start()[None]
-        settings = _compare.FOR_PREDICTION
-        fits = _compare._fit(wild, settings, start)
+        fits = _compare._fit(wild, settings, [problem.space.start()])
         z.append(np.array([fit.run.z for fit in fits]))
-    assert z[0][1] == z[1][1]
+    np.testing.assert_allclose(z[0][1], z[1][1], rtol=0, atol=2.0 * settings.tol)
     assert np.all(z[0][[0, 2, 3]] != z[1][[0, 2, 3]])
 
 
