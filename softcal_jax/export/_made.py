@@ -29,6 +29,7 @@ from softcal_jax.calibration import (
     SourceFile,
 )
 from softcal_jax.configurations import EffectorRecord
+from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium import BodyPlace, Model, RobotState
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import Uncertainty
@@ -56,6 +57,7 @@ KEYS: dict[type, str] = {
     Identifiability: "verdict n_data precision parameters informed directions "
     "covariance correlation conditioning",
     RobotState: "rigid_bodies=bodies actuators reactions contacts",
+    ContactState: "name force moment area depth sliding",
     BodyPlace: "name state position_mm translation_mm rotation_vector",
     ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
     "fit_noise_rms fit_failure verdict folds",
