@@ -248,8 +248,10 @@ def _robot(result: ConfigurationResult) -> Iterator[tuple[Any, ...]]:
     for reaction in robot.reactions:
         what = "force of the ground"
         yield from _components("reaction", reaction, what, {"force": "N"})
+    bodies = {body.name for body in robot.bodies}
     for contact in robot.contacts:
-        yield from _components("contact", contact, "obstacle", _CONTACT)
+        what = "obstacle" if contact.name in bodies else "pair of surfaces"
+        yield from _components("contact", contact, what, _CONTACT)
 
 
 def _components(
