@@ -38,11 +38,12 @@ def pressed(model, *, present=("probe", "table"), depth=1e-5, sliding=0.0, name=
     u[n_nodes : n_nodes + 4] = PRESSED.translation
     turned = bodies.axes[0] @ PRESSED.matrix.T - bodies.axes[0]
     u[n_nodes + 1 : n_nodes + 4] += bodies.length * turned
+    none = np.zeros(len(model.mechanism.contacts.faces))
     felt = {
         "probe": ContactState(
-            "probe", FORCE, np.array([0.0, 2e-5, 0.0]), 3e-6, depth, sliding
+            "probe", FORCE, np.array([0.0, 2e-5, 0.0]), 3e-6, depth, sliding, none
         ),
-        "table": ContactState("table", np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0),
+        "table": ContactState("table", np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0, none),
     }
     places = (
         BodyPlace(

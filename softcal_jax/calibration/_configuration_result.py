@@ -22,7 +22,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import face_size
 from softcal_jax.equilibrium import (
-    RESULTS,
     EquilibriumSolution,
     Model,
     Omission,
@@ -31,6 +30,7 @@ from softcal_jax.equilibrium import (
     effector_values,
     omission_sentences,
     omissions,
+    outcome_words,
     robot_states,
 )
 from softcal_jax.inference import UNLIKELY, LinearModel, whitened
@@ -421,7 +421,7 @@ def _self_contact(model, lanes, solution, state, i: int) -> SelfContact | None:
 
 def _outcome(solution: EquilibriumSolution, i: int) -> str:
     """Say how the solve of a configuration ended."""
-    words = RESULTS[lane_of(solution.result, i)]
+    words = outcome_words(lane_of(solution, i))
     if not solution.at_rounding[i]:
         return words
     # Without any load, rounding is all that there is.

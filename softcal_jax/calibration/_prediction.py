@@ -19,7 +19,13 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._weighing import Weighed
-from softcal_jax.equilibrium import EquilibriumSolution, Model, Report, other_ways
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    Report,
+    other_ways,
+    outcome_words,
+)
 from softcal_jax.fields import SetupParameter
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import Problem
@@ -113,7 +119,9 @@ class _AllLanes(NamedTuple):
         if not held_out:
             return self.fitted
         rest = jax.tree.map(np.zeros_like, lane_of(self.fitted, -1))
-        rest = eqx.tree_at(lambda r: r.equilibrium.result, rest, RESULTS.max_steps)
+        ended = lambda r: (r.equilibrium.result, r.equilibrium.contacts)
+        none = np.full_like(rest.equilibrium.contacts, np.nan)
+        rest = eqx.tree_at(ended, rest, (RESULTS.max_steps, none))
         others = stacked([self.closed.get(c, rest) for c in held_out])
         join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
         return jax.device_put(jax.tree.map(join, self.fitted, others))
@@ -146,9 +154,11 @@ def _solve_held_out(
         if lane not in last.solved:
             notes.append(f"{pose.name} is not predicted: this was interrupted.")
         elif not last.solved[lane].converged:
-            why = "with the calibrated parameters no equilibrium was found"
-            ways = other_ways(last.solved[lane])
-            notes.append(f"{pose.name} is not predicted: {why}.{ways}")
+            solved = last.solved[lane]
+            notes.append(
+                f"{pose.name} is not predicted: with the calibrated parameters no "
+                f"equilibrium was found: {outcome_words(solved)}.{other_ways(solved)}"
+            )
     # Those that lack an unknown which fitted ones have.
     notes += [
         f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "

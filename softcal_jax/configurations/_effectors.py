@@ -195,13 +195,12 @@ class ContactForce(AbstractEffector):
         return 3 if self.axis is None else 1
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        obstacle = _index_of(
-            self.body, mechanism.contacts.touched, "obstacle", self.name
-        )
+        of, kind = mechanism.contacts.touched, "obstacle or touching pair"
+        contact = _index_of(self.body, of, kind, self.name)
         axis, (what, unit) = self.axis, self.quantity
         if axis is not None:
             axis = tuple(unit_vector(f"axis of effector {self.name!r}", axis).tolist())
-        reading = _Reading(_contact, (what, obstacle, axis))
+        reading = _Reading(_contact, (what, contact, axis))
         return self._row("reaction", unit, function=reading)
 
 

@@ -36,7 +36,12 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.contact._cushion import cushion, cushion_pressure, tamed_pressure
+from softcal_jax.contact._cushion import (
+    cushion,
+    cushion_pressure,
+    mean_over_faces,
+    tamed_pressure,
+)
 from softcal_jax.contact._facing import face_size
 from softcal_jax.contact._shapes import AbstractShape
 from softcal_jax.contact._touching import Touching
@@ -89,6 +94,7 @@ class ContactState(Module):
         area: Area at rest of the surface that presses on it [m2].
         depth: How deep the surface lies in it at most [m].
         sliding: Share of the area that slides against friction [-].
+        pressure: Mean pressure on each of `Contacts.faces_of` it, by area at rest [Pa].
     """
 
     name: str = eqx.field(static=True)
@@ -97,6 +103,7 @@ class ContactState(Module):
     area: float | Float[Array, ""]
     depth: float | Float[Array, ""]
     sliding: float | Float[Array, ""]
+    pressure: Float[Array | HostArray, " n_faces"]
 
 
 def _pressure_of(tamed: bool | Bool[Array, ""]) -> Callable[[Array, Array], Array]:
@@ -167,6 +174,11 @@ class Contacts(Module):
     def touched(self) -> tuple[str, ...]:
         """The names of obstacles, then those of surfaces on each other."""
         return self.names + (() if self.touching is None else self.touching.names)
+
+    def faces_of(self, name: str) -> Int[HostArray, "n_faces n_fn"]:
+        """List the nodes of faces of the body that feel one of `touched`."""
+        own = name in self.names or self.touching is None
+        return self.faces if own else self.touching.faces
 
     def following(self, mesh: TetMesh, points: Float[Array, "n_points 3"]):
         """Return the contacts of a mesh with other points; their scale stays [m]."""
@@ -392,6 +404,8 @@ class Contacts(Module):
                     depth=jnp.max(jnp.where(area > 0.0, d - 0.5 * s, 0.0), initial=0.0),
                     sliding=jnp.sum(jnp.where(slides, pressed, 0.0))
                     / jnp.where(total > 0.0, total, 1.0),
+                    pressure=self.stiffness
+                    * mean_over_faces(cushion_pressure(d, s), area),
                 )
             )
         if self.touching is not None:

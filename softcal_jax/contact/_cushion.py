@@ -31,3 +31,11 @@ def tamed_pressure(
     return still(jnp.minimum(cushion_pressure(d, s), most)) + still(slope) * (
         d - still(d)
     )
+
+
+def mean_over_faces(
+    p: Float[Array, "n_faces n_qp"], area: Float[Array, "n_faces n_qp"]
+) -> Float[Array, " n_faces"]:
+    """Average values at points of faces by their areas; 0 for faces without area."""
+    whole = jnp.sum(area, axis=1)
+    return jnp.sum(area * p, axis=1) / jnp.where(whole > 0.0, whole, 1.0)

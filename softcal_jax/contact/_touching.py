@@ -24,7 +24,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.contact._cushion import cushion, cushion_pressure
+from softcal_jax.contact._cushion import cushion, cushion_pressure, mean_over_faces
 from softcal_jax.contact._foot import foot, gap_of, placed, polynomial, stiffness_of
 from softcal_jax.mesh import TetMesh, face_areas
 
@@ -245,9 +245,10 @@ class Touching(Module):
         return jnp.any(self._in_blocks(flag, of_block, none))
 
     def states(self, x: Float[Array, "n_points 3"], s, E) -> list[dict[str, Array]]:
-        """Compute force [N], moment [N m], area [m2] and depth [m] of each pair.
+        """Compute force [N], moment [N m], area [m2], depth [m] and pressure of each.
 
-        That is the force of the first surface on the second.
+        That is the force of the first surface on the second, and the mean pressure on
+        the faces of both [Pa].
         """
         touch, weight, depth, force = self._felt(x, s, E)
         (rows, _), n = self._points(), self.faces.shape[1]
@@ -259,6 +260,7 @@ class Touching(Module):
         moments = jnp.sum(jnp.cross(x[self.faces[rows]], of_nodes), axis=1)
         area = jnp.where(depth > 0.0, jnp.asarray(self.areas).ravel(), 0.0)
         surface = jnp.asarray(self.of)[pair]
+        areas, pressure = jnp.asarray(self.areas), E * cushion_pressure(depth, s)
 
         def of(k: int) -> dict[str, Array]:
             its = (weight > 0.0) & (surface == k)
@@ -268,6 +270,9 @@ class Touching(Module):
                 "moment": total(moments),
                 "area": jnp.sum(jnp.where(its, area, 0.0)),
                 "depth": jnp.max(jnp.where(its, depth - 0.5 * s, 0.0), initial=0.0),
+                "pressure": mean_over_faces(
+                    jnp.where(its, pressure, 0.0).reshape(areas.shape), areas
+                ),
             }
 
         return [of(k) for k in range(len(self.names))]

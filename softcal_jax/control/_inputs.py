@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
-from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, numpy_of
 from softcal_jax.configurations import (
     Configuration,
@@ -30,6 +30,7 @@ from softcal_jax.equilibrium import (
     equilibria,
     input_rows,
     linearise,
+    outcome_words,
     residual,
     sensitivity,
 )
@@ -244,10 +245,9 @@ def sample_workspace(
     converged = np.asarray(solution.converged)
     failures = []
     for i in np.flatnonzero(~converged):
-        result = jax.tree.map(lambda leaf, i=i: leaf[i], solution.result)
         pairs = zip(names, inputs[i], strict=True)
         asked = ", ".join(f"{name} = {value:g}" for name, value in pairs)
-        failures.append(f"sample {i} ({asked}): {RESULTS[result]}")
+        failures.append(f"sample {i} ({asked}): {outcome_words(lane_of(solution, i))}")
     return Workspace(
         inputs=inputs,
         names=names,

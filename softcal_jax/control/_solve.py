@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax import _notebook
-from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration import Evaluation
@@ -28,7 +27,7 @@ from softcal_jax.control._result import (
     coordinate_names,
 )
 from softcal_jax.control._search import ControlWarning, Descent, search
-from softcal_jax.equilibrium import Model, Workers, actuator_states
+from softcal_jax.equilibrium import Model, Workers, actuator_states, outcome_words
 
 NO_MORE = "the end of its equilibria: a step further on there is none"
 
@@ -100,7 +99,7 @@ def solve_inverse(
     if result.outcome == OUTCOMES.interrupted:
         raise KeyboardInterrupt(why)
     if result.outcome == OUTCOMES.no_equilibrium:
-        why += f" {RESULTS[result.solution.result]}."
+        why += f" {outcome_words(result.solution)}."
     raise RuntimeError(why)
 
 

@@ -78,6 +78,7 @@ from softcal_jax.equilibrium._solve import (
     lanes as lanes,
     no_equilibrium as no_equilibrium,
     other_ways as other_ways,
+    outcome_words as outcome_words,
     solve_equilibrium as solve_equilibrium,
 )
 from softcal_jax.equilibrium._workers import (

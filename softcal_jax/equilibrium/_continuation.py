@@ -295,6 +295,8 @@ def continue_equilibrium(
         n_negative=state.n_negative,
         approached=or_nan(jnp.ones_like(state.residual.size)),
         along_path=or_nan(jnp.ones_like(state.residual.size)),
+        contacts=jnp.full((len(posed.contacts.touched), 5), jnp.nan, float),
+        touched=posed.contacts.touched,
     )
     return solution, Linearisation(
         posed=posed,

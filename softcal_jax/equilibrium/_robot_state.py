@@ -26,6 +26,7 @@ from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed, check_lane, one_lane
 from softcal_jax.equilibrium._solve import EquilibriumSolution
+from softcal_jax.mesh import boundary_faces, face_indices
 
 
 def effector_values(
@@ -249,6 +250,15 @@ class RobotState(Module):
     reactions: tuple[Reaction, ...]
     contacts: tuple[ContactState, ...]
     displacement: Float[HostArray, "n_points 3"]
+
+    def surface_pressure(self, model: Model) -> Float[HostArray, " n_faces"]:
+        """Add up the mean pressures of contact on `mesh.boundary_faces` [Pa]."""
+        surface = boundary_faces(model.mesh)
+        total = np.zeros(len(surface))
+        for contact in self.contacts:
+            faces = model.mechanism.contacts.faces_of(contact.name)
+            np.add.at(total, face_indices(faces, surface), contact.pressure)
+        return total
 
 
 @eqx.filter_jit

@@ -36,6 +36,7 @@ from softcal_jax.equilibrium._newton import (
 )
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._without_derivative import nan_of, without_derivative
+from softcal_jax.mesh import place
 
 if TYPE_CHECKING:
     from softcal_jax.equilibrium._newton import Solver
@@ -69,6 +70,11 @@ class EquilibriumSolution(Module):
             equilibrium; 1 if converged, nan if none was tried [-].
         along_path: Share of the load that its path carries (`trace_equilibria`); 1 if
             converged, nan if none was followed [-].
+        touched: Names of all that the body may touch.
+        contacts: For each of them, where a solve on the host failed: the middle at rest
+            of the face that is pressed most [m], the depth over the scale of contact
+            [-], and the share that slides [-]; nan where nothing touches. At the last
+            equilibrium of a part of the load or, if nothing touches, the last iterate.
     """
 
     displacement: Float[Array, "*batch n_points 3"]
@@ -84,6 +90,8 @@ class EquilibriumSolution(Module):
     n_negative: Int[Array, "*batch"]
     approached: Float[Array, "*batch"]
     along_path: Float[Array, "*batch"]
+    contacts: Float[Array, "*batch n_touched 5"]
+    touched: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def converged(self) -> Bool[Array | HostArray, "*batch"]:
@@ -102,7 +110,23 @@ class EquilibriumSolution(Module):
         return f"{good.sum()} of {good.size} converged; at most {how}"
 
 
-_DIAGNOSTICS = "load_reached residual rounding approached along_path".split()
+_DIAGNOSTICS = "load_reached residual rounding approached along_path contacts".split()
+
+
+def outcome_words(solution: EquilibriumSolution) -> str:
+    """Say how the solve of one lane ended, and what the body touches if it failed."""
+    ended, depths = RESULTS[solution.result], solution.contacts[:, 3]
+    if np.all(np.isnan(depths)):
+        return ended
+    k = int(np.nanargmax(depths))
+    *at, depth, sliding = np.asarray(solution.contacts[k])
+    slides = f", and {100.0 * sliding:.0f} % of the touched area slides"
+    return (
+        f"{ended}. Where the solve stopped, at {100.0 * solution.load_reached:.3g} % "
+        f'of the load, contact is deepest at "{solution.touched[k]}" near '
+        f"{place(np.array(at))}, {depth:.2g} times the scale of contact"
+        f"{slides if sliding > 0.0 else ''}"
+    )
 
 
 def other_ways(solution: EquilibriumSolution) -> str:
@@ -129,7 +153,7 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
         if one.n_negative < 0:  # so a limit point would not be noticed
             count = "negative eigenvalues unknown"
         return (
-            f"configuration {names[lane]!r}: {RESULTS[one.result]} "
+            f"configuration {names[lane]!r}: {outcome_words(one)} "
             f"({100 * one.load_reached:.3g} % of the load carried, {count}, "
             f"{one.steps} Newton steps, residual {one.residual:.1e} with rounding at "
             f"{one.rounding:.1e}, smallest det F {one.min_det_F:.3g}).{other_ways(one)}"
@@ -148,7 +172,9 @@ def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> No
         raise RuntimeError(text)
 
 
-def as_solution(state: LoadState, settings: NewtonSettings) -> EquilibriumSolution:
+def as_solution(
+    state: LoadState, settings: NewtonSettings, touched: tuple[str, ...]
+) -> EquilibriumSolution:
     carried, now = state.done & (state.load_ok >= 1.0), state.iterate
     beyond = state.result == RESULTS.limit_point
     # Without an equilibrium, no displacement may be mistaken for one. While it is
@@ -169,6 +195,8 @@ def as_solution(state: LoadState, settings: NewtonSettings) -> EquilibriumSoluti
         n_negative=jnp.where(beyond, state.limit, now.n_negative),
         approached=or_nan(jnp.ones_like(state.load_ok)),
         along_path=or_nan(jnp.ones_like(state.load_ok)),
+        contacts=jnp.full((len(touched), 5), jnp.nan, float),
+        touched=touched,
     )
 
 
@@ -202,7 +230,7 @@ def continue_newton(
     loop = LoadSteps(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
     state = loop.run(state, most)
-    return state, as_solution(state, settings)
+    return state, as_solution(state, settings, loop.posed.contacts.touched)
 
 
 _SLIDES = 0.9  # share of the touched area that slides where a body slides away
@@ -219,10 +247,14 @@ def with_cause(
 ) -> EquilibriumSolution:
     """Say of a solve that failed if the body slides, or its law or a chamber gave way.
 
-    A chamber has if its pressure does most of the work of the loads.
+    A chamber has if its pressure does most of the work of the loads. And say what the
+    body touches.
     """
     failed = solution.result
-    if failed in (RESULTS.converged, RESULTS.inverted):
+    if failed == RESULTS.converged:
+        return solution
+    solution = replace(solution, contacts=_last_contacts(model, lane, state))
+    if failed == RESULTS.inverted:
         return solution
     if _slides(model, lane, state.stray):
         return replace(solution, result=RESULTS.slides)
@@ -242,6 +274,25 @@ def with_cause(
     return solution
 
 
+@eqx.filter_jit
+def _contact_states(model: Model, lane: ConfigurationArrays, u: Nodal):
+    return Posed.of(model, lane).contact_states(u)
+
+
+def _last_contacts(model: Model, lane: ConfigurationArrays, state: LoadState) -> Array:
+    """Compute `contacts` of a solution that failed."""
+    contacts, rest = model.mechanism.contacts, np.asarray(model.mechanism.points)
+    rows = np.full((len(contacts.touched), 5), np.nan)
+    last = state.stray if state.done else state.iterate.point.u
+    for u in (state.ok.u, last) if state.load_ok > 0.0 else (last,):
+        if np.all(np.isnan(rows)):
+            for row, c in zip(rows, _contact_states(model, lane, u), strict=True):
+                if c.area > 0.0:
+                    at = rest[contacts.faces_of(c.name)[np.argmax(c.pressure)]]
+                    row[:] = *at.mean(axis=0), c.depth / contacts.scale, c.sliding
+    return jnp.asarray(rows)
+
+
 def _slides(model: Model, lane: ConfigurationArrays, u: Nodal) -> bool:
     """Tell whether nothing but obstacles with friction holds the body, and too little.
 
@@ -252,7 +303,7 @@ def _slides(model: Model, lane: ConfigurationArrays, u: Nodal) -> bool:
     supported = np.all(np.any(np.asarray(lane.fixed), axis=0)) or lane.springs.names
     if guided or supported or not any(contacts.sticks):
         return False
-    states = Posed.of(model, lane).contact_states(u)
+    states = _contact_states(model, lane, u)
     rough = [c for c, sticks in zip(states, contacts.sticks, strict=True) if sticks]
     sliding = [float(c.sliding) for c in rough if c.area > 0.0]
     return bool(sliding) and min(sliding) > _SLIDES
@@ -282,7 +333,8 @@ def resumed(state: LoadState) -> LoadState:
 def _solved(model, configuration, u0, settings, iteration) -> EquilibriumSolution:
     posed = Posed.of(model.tabulated(), configuration)
     loop = LoadSteps(posed, settings, iteration)
-    return as_solution(loop.run(loop.start(u0), settings.max_steps), settings)
+    ended = loop.run(loop.start(u0), settings.max_steps)
+    return as_solution(ended, settings, posed.contacts.touched)
 
 
 @eqx.filter_custom_jvp

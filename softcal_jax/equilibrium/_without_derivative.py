@@ -24,8 +24,8 @@ def refuse_if(value: T, wrong: Bool[Array, "..."], why: str) -> T:
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def without_derivative(
-    value: Float[Array, ""], by: Float[Array, ""], name: str | None = None
-) -> Float[Array, ""]:
+    value: Float[Array, "..."], by: Float[Array, ""], name: str | None = None
+) -> Float[Array, "..."]:
     """Return a value that has no derivative, lest it be differentiated as a constant.
 
     Where `by`, a number that is found with it, is differentiated, its tangent is nan,
@@ -37,7 +37,8 @@ def without_derivative(
 
 @without_derivative.defjvp
 def _jvp(name, primals, tangents):
-    return primals[0], _nan.bind(tangents[1], name=name)
+    none = _nan.bind(tangents[1], name=name)
+    return primals[0], jnp.broadcast_to(none, primals[0].shape)
 
 
 def _or_nan(tangent, *, name=None):

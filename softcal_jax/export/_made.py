@@ -29,6 +29,7 @@ from softcal_jax.calibration import (
     SourceFile,
 )
 from softcal_jax.configurations import EffectorRecord
+from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium import BodyPlace, Model, RobotState
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import Uncertainty
@@ -56,6 +57,7 @@ KEYS: dict[type, str] = {
     Identifiability: "verdict n_data precision parameters informed directions "
     "covariance correlation conditioning",
     RobotState: "rigid_bodies=bodies actuators reactions contacts",
+    ContactState: "name force moment area depth sliding",
     BodyPlace: "name state position_mm translation_mm rotation_vector",
     ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
     "fit_noise_rms fit_failure verdict folds",
@@ -246,8 +248,10 @@ def _robot(result: ConfigurationResult) -> Iterator[tuple[Any, ...]]:
     for reaction in robot.reactions:
         what = "force of the ground"
         yield from _components("reaction", reaction, what, {"force": "N"})
+    bodies = {body.name for body in robot.bodies}
     for contact in robot.contacts:
-        yield from _components("contact", contact, "obstacle", _CONTACT)
+        what = "obstacle" if contact.name in bodies else "pair of surfaces"
+        yield from _components("contact", contact, what, _CONTACT)
 
 
 def _components(

@@ -15,7 +15,7 @@ from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
 from softcal_jax.fields import find_field
 from softcal_jax.materials import DENSITY, Fibre, fields_of_tets
-from softcal_jax.mesh import volumes
+from softcal_jax.mesh import boundary_tets, volumes
 
 STANDARD_ERROR = "_standard_error"
 """End of the name of a standard error; the name of its field stands before it."""
@@ -34,6 +34,7 @@ def write_vtu(
     displacement: Float[ArrayLike, "n_nodes 3"],
     *,
     standard_errors: Mapping[str, Float[HostArray, " n_tets"]] | None = None,
+    state: RobotState | None = None,
 ) -> None:
     """Write a body, moved by `displacement` [m], for ParaView; tets keep their order.
 
@@ -44,8 +45,10 @@ def write_vtu(
     `strain_energy_density` [J/m3], `density` [kg/m3] and every field of the law under
     its own name, in SI; `fibre_direction` at rest, and `fibre_direction_2` of a second
     family [-]; `E_standard_error` and so on of fields that were calibrated, see
-    `field_standard_errors`. Per point `rigid_body`, if there are any: the index of its
-    rigid body plus 1, 0 for soft points.
+    `field_standard_errors`; of the `state` of a robot that may touch something,
+    `contact_pressure`: the mean over a face by its area at rest, the largest of the
+    faces of the tet, 0 where nothing touches [Pa]. Per point `rigid_body`, if there are
+    any: the index of its rigid body plus 1, 0 for soft points.
 
     Raises:
         ValueError: If the shape is wrong.
@@ -73,6 +76,9 @@ def write_vtu(
         **tet_fields(model, standard_errors or {}),
         **fibre_directions(model),
     }
+    if state is not None and model.mechanism.contacts.can_touch:
+        most = of_tets["contact_pressure"] = np.zeros(mesh.n_tets)
+        np.maximum.at(most, boundary_tets(mesh), state.surface_pressure(model))
     kind = ("tetra", "tetra10")[mesh.order - 1]
     _save(path, mesh.points, [(kind, mesh.tets)], at_points, of_tets)
 

@@ -546,7 +546,7 @@ class Uncertain(_stds_of_kinds()):
         density: Density of the body, relative [-]. One error for the whole body.
         clamp: Depth at which a clamp really grips the body, along the normal of its
             faces [m]. One error for all configurations that are held alike.
-        contact: Error of the cushion on obstacles, in units of its scale, see
+        contact: Error of the cushion of contact, in units of its scale, see
             `softcal_jax.contact` [-]. One error for all configurations.
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
             configurations, see `mesh_row`. Zero for data that are simulated on the

@@ -21,6 +21,7 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     Workers,
     check_converged,
+    outcome_words,
     reports_of,
 )
 from softcal_jax.fields import (
@@ -303,7 +304,7 @@ def survey(
     regular = np.asarray(compliance.ok)
     failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
     for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
-        failures[c] = RESULTS[lane_of(solution.result, c)]
+        failures[c] = outcome_words(lane_of(solution, c))
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")

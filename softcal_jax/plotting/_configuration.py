@@ -336,7 +336,9 @@ def render_body(
         more.append(picture.points)
         gravity = () if picture.posed is None else picture.posed.gravity
     view = views.choose_view(model.mesh.points, u, more, gravity, style.seen_from)
-    width = style.pixels - _SIDE
+    pressure = np.zeros(1) if picture is None else picture.pressure
+    touched = bool(pressure.any()) and style.pixels > 3 * _SIDE  # else there is no room
+    width = style.pixels - _SIDE * (1 + touched)
     lowest, highest = _LOWEST * style.pixels, max(_HIGHEST * style.pixels, _TALL)
     scale, height = views.fit_body(view, width, _MARGIN, lowest, highest)
     largest = float(np.linalg.norm(u, axis=1).max())
@@ -351,6 +353,7 @@ def render_body(
             largest=largest,
             finer=style.dpi / figure.dpi,
             obstacles=robots.placed_surfaces(model, around),
+            pressure=pressure if touched else None,
         )
         body = figures.add_view(figure, 0, 0, width, height, scale=scale)
         extent = (*body.get_xlim(), *body.get_ylim())
@@ -375,7 +378,11 @@ def render_body(
         figures.draw_markers(body, *flat, marker_names)
         figures.separate_names(body)
         bar = (width + 20, 0.06 * height, 28, 0.94 * height - 45)
-        figures.draw_colour_scale(figures.add_axes(figure, *bar), largest)
+        figures.draw_colour_scale(figures.add_axes(figure, *bar), 1e3 * largest)
+        if touched:
+            beside = figures.add_axes(figure, bar[0] + _SIDE, *bar[1:])
+            of_contact = "contact pressure [kPa]", figures.PRESSURE_MAP
+            figures.draw_colour_scale(beside, 1e-3 * pressure.max(), *of_contact)
         handles = figures.legend_of(drawn, called)
         words = {"title": title, "subtitle": subtitle, "warning": warning}
         figures.draw_frame(figure, view, handles, scale=scale, **words)

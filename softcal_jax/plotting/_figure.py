@@ -162,6 +162,9 @@ SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#44
 DISPLACEMENT_MAP = "viridis"
 """Colour map that is perceptually uniform and avoids the markers' black and red."""
 
+PRESSURE_MAP = "Reds"
+"""Colour map of the pressure of contact."""
+
 # What is drawn beside the soft body.
 CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
 FORCE, RIGID, OBSTACLE = "#1b7837", "#b4b4b4", "#9aa0a6"
@@ -277,14 +280,19 @@ def shrink(text: Text, room: float) -> None:
         text.set_fontsize(size)
 
 
-def draw_colour_scale(axes: Axes, largest: float) -> None:
-    """Draw the colour scale of the body's displacement, up to the largest [m]."""
+def draw_colour_scale(
+    axes: Axes,
+    largest: float,
+    label: str = "displacement [mm]",
+    colour_map: str = DISPLACEMENT_MAP,
+) -> None:
+    """Draw a colour scale from 0 to the largest value, in the unit of the label."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    colours = ScalarMappable(Normalize(0.0, 1e3 * largest or 1.0), DISPLACEMENT_MAP)
-    axes.figure.colorbar(colours, cax=axes, label="displacement [mm]")
-    axes.set_title(f"max {1e3 * largest:.3g}", color=TEXT, pad=in_points(10.0))
+    colours = ScalarMappable(Normalize(0.0, largest or 1.0), colour_map)
+    axes.figure.colorbar(colours, cax=axes, label=label)
+    axes.set_title(f"max {largest:.3g}", color=TEXT, pad=in_points(10.0))
 
 
 def draw_triad(axes: Axes, view: View) -> None:

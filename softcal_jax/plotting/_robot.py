@@ -90,6 +90,7 @@ class RobotPicture(NamedTuple):
         posed: The configuration, for its supports and gravity, if it is known.
         sensors: Places of 6-D sensors.
         obstacles: Those that are there.
+        pressure: Of contact, on each face of the boundary [Pa].
     """
 
     model: Model
@@ -100,6 +101,7 @@ class RobotPicture(NamedTuple):
     posed: Configuration | None
     sensors: Sequence[SensorFrame]
     obstacles: Sequence[PlacedObstacle]
+    pressure: Float[HostArray, " n_faces"]
 
 
 def robot_picture(model: Model, result: ConfigurationResult) -> RobotPicture:
@@ -142,7 +144,7 @@ def picture_of(
         )
         actuators.append(drawn)
     points = [shape.segments.reshape(-1, 3), shape.points, *(p for p, _ in placed)]
-    parts = actuators, placed, posed, sensors, obstacles
+    parts = actuators, placed, posed, sensors, obstacles, state.surface_pressure(model)
     return RobotPicture(model, x, np.vstack(points), *parts)
 
 

@@ -20,7 +20,13 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import Tessellation, tessellate
-from softcal_jax.plotting._figure import DISPLACEMENT_MAP, OBSTACLE, OUTLINE, RIGID
+from softcal_jax.plotting._figure import (
+    DISPLACEMENT_MAP,
+    OBSTACLE,
+    OUTLINE,
+    PRESSURE_MAP,
+    RIGID,
+)
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -29,7 +35,7 @@ if TYPE_CHECKING:
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
 _GHOST = "#ececec"  # colour of the body at rest
 _ROUND: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": True}
-_STRENGTHS = 1.0, 1.0, 0.5, 0.45  # of the body at rest, deformed, obstacles, outline
+_STRENGTHS = 1.0, 1.0, 0.5, 0.85, 0.45  # at rest, deformed, obstacles, touched, outline
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 _REMEDY = (
@@ -130,19 +136,23 @@ def body_image(
     largest: float,
     finer: float = 1.0,
     obstacles: "Sequence[pyvista.PolyData]" = (),
+    pressure: Float[HostArray, " n_faces"] | None = None,
 ) -> Int[HostArray, "height width 3"]:
     """Draw the deformed body, coloured by displacement, over the outline at rest.
 
     The size is in pixels, the scale in pixels per metre; the image has `finer` times as
     many of them. The colours end at the largest displacement [m]. Obstacles are half
-    transparent and do not change what is visible.
+    transparent and do not change what is visible. Where there is a pressure on faces of
+    the boundary [Pa], it is the colour, seen through all else.
     """
     import pyvista
 
     width, height = (round(finer * pixels) for pixels in size)
     tessellation, points = tessellate(model.mesh), model.mesh.points
-    rigid = rigid_faces(model, tessellation.faces)
-    whole = np.ones_like(rigid)
+    n = len(tessellation.faces)
+    pressure = np.zeros(n) if pressure is None else pressure.repeat(n // len(pressure))
+    pressed, whole = pressure > 0.0, np.ones(n, bool)
+    rigid = rigid_faces(model, tessellation.faces) & ~pressed
     rest = _surface(tessellation, points, np.zeros_like(displacement), whole)
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)
     with offscreen():
@@ -156,7 +166,7 @@ def body_image(
             ]
             body = [
                 plotter.add_mesh(
-                    deformed(~rigid),
+                    deformed(~rigid & ~pressed),
                     scalars="displacement",
                     cmap=DISPLACEMENT_MAP,
                     clim=[0.0, largest or 1.0],
@@ -175,6 +185,13 @@ def body_image(
             ]
             if rigid.any():
                 body.append(plotter.add_mesh(deformed(rigid), color=RIGID, ambient=0.4))
+            touched = []
+            if pressed.any():
+                patch = deformed(pressed)
+                patch.cell_data["pressure"] = pressure[pressed]
+                look = {"cmap": PRESSURE_MAP, "clim": [0.0, pressure.max()]}
+                look |= {"show_scalar_bar": False, "lighting": False}
+                touched = [plotter.add_mesh(patch, scalars="pressure", **look)]
             around = [
                 plotter.add_mesh(surface, color=OBSTACLE, ambient=0.4, **_ROUND)
                 for surface in obstacles
@@ -188,19 +205,21 @@ def body_image(
             camera.parallel_scale = 0.5 * size[1] / scale
             plotter.renderer.ResetCameraClippingRange()
             # Draw in layers, since overlapping surfaces would hide parts of each other:
-            # the body at rest, the deformed one, obstacles in front of it, and the
-            # outline faintly over all.
+            # the body at rest, the deformed one, obstacles in front of it, what is
+            # touched through them, and the outline faintly over all.
+            body += touched
             actors = [*ghost, *body, *around]
             layer = partial(_layer, plotter, actors)
-            behind, alone, outline = map(layer, (ghost, body, ghost[1:]))
+            shown = ghost, body, touched, ghost[1:]
+            behind, alone, through, outline = map(layer, shown)
             covered = layer([*body, *around]) if around else alone
-            layers = behind, alone, covered, outline
+            layers = behind, alone, covered, through, outline
         finally:
             plotter.close()
     picture = np.full((height, width, 3), 255.0, np.float32)
     for (colour, cover), strength in zip(layers, _STRENGTHS, strict=True):
         picture += strength * (colour - cover * picture)
-    return np.rint(picture).astype(np.int32)
+    return np.rint(picture).clip(0, 255).astype(np.int32)
 
 
 def _layer(plotter: "pyvista.Plotter", actors: list, shown: list):

@@ -386,11 +386,11 @@ def _commands(project: Project) -> Iterator[tuple[str, str]]:
             yield f"softcal {command}", f"would refuse: {first}"
             yield from (("", other) for other in others)
     mechanism = project.model.mechanism
-    obstacles, bodies = mechanism.contacts.names, mechanism.bodies.names
-    if bodies:
+    touched, bodies = mechanism.contacts.touched, mechanism.bodies.names
+    if touched or bodies:
         programs = "SOFA, MuJoCo, CalculiX or Abaqus"
-        what = "contact with obstacles" if obstacles else "rigid bodies"
-        plain = f"not for {programs}: {what} ({', '.join(obstacles or bodies)})"
+        what = "contact" if touched else "rigid bodies"
+        plain = f"not for {programs}: {what} ({', '.join(touched or bodies)})"
         yield "softcal export", plain
 
 

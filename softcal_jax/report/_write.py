@@ -324,7 +324,8 @@ def _write_bodies(
         if pose.converged:
             written.append(f"{stem}.vtu")
             path = folder / written[-1]
-            export.write_vtu(path, model, pose.displacement, standard_errors=errors)
+            more = {"standard_errors": errors, "state": pose.robot}
+            export.write_vtu(path, model, pose.displacement, **more)
             parts = model.mechanism.bodies.n_bodies + model.mechanism.n_actuators
             if pose.robot is not None and parts > 0:
                 written.append(f"{stem}_robot.vtu")

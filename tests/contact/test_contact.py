@@ -30,7 +30,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic
-from softcal_jax.mesh import beam
+from softcal_jax.mesh import beam, face_areas
 
 E, NU, SIDE, SCALE = 1e5, 0.3, 0.02, 1e-4
 AREA = SIDE**2
@@ -95,6 +95,10 @@ def test_a_block_between_planes_is_compressed_evenly(travel):
         contacts["press"].force, (0, 0, force), atol=1e-8 * force
     )
     np.testing.assert_allclose(contacts["floor"].force[2], -force, rtol=1e-8)
+    # On a plane, all of it is along the normal: so exactly that of the pressure.
+    areas, _ = face_areas(model.mesh, model.mechanism.contacts.faces_of("floor"))
+    pushed = areas.sum(axis=1) @ contacts["floor"].pressure
+    np.testing.assert_allclose(pushed, force, rtol=1e-8)
     assert contacts["press"].area == pytest.approx(AREA)
     # About the origin of the floor, a corner of the block, which has grown wider.
     middle = 0.5 * SIDE * (1.0 + NU * strain) * force

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
+from wording import says
 
 from benchmarks.contact import belt
 from softcal_jax.actuators import Cable
@@ -25,6 +26,7 @@ from softcal_jax.equilibrium import (
     build_model,
     effector_values,
     lanes,
+    no_equilibrium,
     robot_states,
     solve_equilibrium,
 )
@@ -72,6 +74,8 @@ def test_a_block_on_a_steeper_slope_slides(degrees):
     solution = solve_equilibrium(BLOCK, on_slope(degrees))
     assert RESULTS.slides == solution.result
     assert float(solution.load_reached) == 0.0
+    text = no_equilibrium(solution, ("p",))
+    assert says(text, '"table" near', "0) mm", "100 % of the touched area slides")
 
 
 @pytest.mark.parametrize("height", [1e-3, 0.05])

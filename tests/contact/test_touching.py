@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import meshio
 import numpy as np
 import pytest
 from problems import both_ways, central_difference
 from scipy.spatial.transform import Rotation
+from wording import says
 
 from softcal_jax.actuators import Chamber
 from softcal_jax.bodies import RigidBody
@@ -25,14 +27,25 @@ from softcal_jax.equilibrium import (
     NewtonSettings,
     build_model,
     effector_values,
+    no_equilibrium,
+    outcome_words,
     robot_states,
     solve_equilibrium,
     with_points,
 )
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
+from softcal_jax.export import write_vtu
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
-from softcal_jax.mesh import TetMesh, beam, boundary_faces, self_contact
+from softcal_jax.mesh import (
+    TetMesh,
+    beam,
+    boundary_faces,
+    boundary_tets,
+    face_areas,
+    face_indices,
+    self_contact,
+)
 
 E, NU, SIDE, SCALE = 1e5, 0.3, 0.02, 1e-5
 LAW = Corotational(Isotropic(E, NU))
@@ -115,6 +128,36 @@ def test_two_blocks_are_as_stiff_as_one_of_both():
     # In the middle of the surface, which has grown wider.
     half = 0.5 * SIDE * (1.0 + NU * -PRESSED / (2.0 * SIDE)) * force
     np.testing.assert_allclose(contact.moment, (half, -half, 0.0), rtol=0.01, atol=1e-6)
+
+
+def test_pressure_on_each_surface_adds_up_to_the_force(tmp_path):
+    """Points of either surface carry half of the force, so that the mean is exact.
+
+    Those of one alone carry a little more or less, on so few faces that do not match.
+    """
+    solution = jax.tree.map(lambda leaf: leaf[None], solved(BLOCKS, SQUEEZE))
+    (result,) = simulation_result(BLOCKS, [SQUEEZE], solution).configurations
+    file, mesh = tmp_path / "a.vtu", BLOCKS.mesh
+    write_vtu(file, BLOCKS, result.displacement, state=result.robot)
+    pressure = np.array(meshio.read(file).cell_data["contact_pressure"][0])
+    forces = []
+    for name in ("low", "high"):
+        faces = mesh.faces(name)
+        tets = boundary_tets(mesh)[face_indices(faces, boundary_faces(mesh))]
+        forces.append(face_areas(mesh, faces)[0].sum(axis=1) @ pressure[tets])
+        pressure[tets] = 0.0
+    (contact,) = result.robot.contacts
+    np.testing.assert_allclose(forces, contact.force[2], rtol=0.07)
+    np.testing.assert_allclose(np.mean(forces), contact.force[2], rtol=1e-3)
+    assert not pressure.any()
+
+
+def test_a_solve_that_fails_says_which_surfaces_touch_and_where():
+    solution = solve_equilibrium(BLOCKS, SQUEEZE, settings=NewtonSettings(max_steps=2))
+    text = no_equilibrium(solution, ("squeeze",))
+    assert says(text, "'squeeze'", "at 0 % of the load", '"low on high" near', "20) mm")
+    assert "slides" not in text
+    assert "low on high" not in outcome_words(solved(BLOCKS, SQUEEZE))
 
 
 def test_points_that_lie_over_edges_leave_the_tangent_finite():

@@ -184,7 +184,10 @@ COUPLED = {"[0].mesh.points", "[0].mechanism.points"}
 COUNTS = {f"['state'].contacts[0].{name}" for name in ("area", "sliding")}
 DIAGNOSTICS = {
     f"['solution'].{name}"
-    for name in ("load_reached", "residual", "rounding", "approached", "along_path")
+    for name in (
+        *("load_reached", "residual", "rounding"),
+        *("approached", "along_path", "contacts"),
+    )
 }
 
 

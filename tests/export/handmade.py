@@ -274,6 +274,8 @@ def make_simulation(model, outcomes=(True, False)):
         n_negative=jnp.zeros(n, int),
         approached=jnp.full(n, jnp.nan),
         along_path=jnp.full(n, jnp.nan),
+        contacts=jnp.zeros((n, 0, 5)),
+        touched=(),
     )
     return configurations, solution
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,6 +56,17 @@ def test_csv_has_a_line_per_value(model, tmp_path):
     assert float(of_probe["area"]["value"]) == pytest.approx(3e-6)
     assert of_probe["moment_y"]["unit"] == "N m"
     assert {"depth", "sliding"} <= of_probe.keys()
+
+
+def test_csv_calls_surfaces_that_touch_no_obstacle(model, tmp_path):
+    fit = pressed(model)
+    probe, table = fit.robot.contacts
+    contacts = (probe, replace(table, name="low on high"))
+    write_csv(tmp_path, [replace(fit, robot=replace(fit.robot, contacts=contacts))])
+    with (tmp_path / "robot.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["part"] == "contact"]
+    of = {row["name"]: row["what"] for row in rows}
+    assert of == {"probe": "obstacle", "low on high": "pair of surfaces"}
 
 
 def test_json_of_simulations_and_calibrations(model):

@@ -1,5 +1,7 @@
 """Obstacles in pictures: where they stand, half transparent, no part of the view."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -156,3 +158,26 @@ class TestPictures:
         assert "obstacle" not in legends[0]
         assert "obstacle" in legends[1]
         assert "rigid body" not in legends[1]
+
+    def test_what_is_touched_shows_the_pressure(self, model, tmp_path, monkeypatch):
+        """Through an obstacle too; a second scale has its unit, and nothing else."""
+        fit = pressed(model)
+        probe, table = fit.robot.contacts
+        faces = model.mechanism.contacts.faces
+        top = np.isclose(model.mesh.points[faces][..., 2], 0.02).all(axis=1)
+        probe = replace(probe, pressure=np.where(top, 5e3, 0.0))
+        touched = replace(fit, robot=replace(fit.robot, contacts=(probe, table)))
+        scales, draw = [], _configuration.figures.draw_colour_scale
+        monkeypatch.setattr(
+            _configuration.figures,
+            "draw_colour_scale",
+            lambda axes, *scale: scales.append(scale) or draw(axes, *scale),
+        )
+        path = tmp_path / "a.png"
+        render_configuration(model, fit, path)
+        render_configuration(model, touched, path)
+        assert len(scales) == 3
+        assert scales[2][:2] == (5.0, "contact pressure [kPa]")
+        image = (255.0 * imread(path)[..., :3])[:, :1200]
+        dark = np.linalg.norm(image - [103.0, 0.0, 13.0], axis=2) < 60.0
+        assert dark.sum() > 5000
