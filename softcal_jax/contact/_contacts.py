@@ -177,8 +177,9 @@ class Contacts(Module):
 
     def faces_of(self, name: str) -> Int[HostArray, "n_faces n_fn"]:
         """List the nodes of faces of the body that feel one of `touched`."""
-        own = name in self.names or self.touching is None
-        return self.faces if own else self.touching.faces
+        if self.touching is not None and name in self.touching.names:
+            return self.touching.faces
+        return self.faces
 
     def following(self, mesh: TetMesh, points: Float[Array, "n_points 3"]):
         """Return the contacts of a mesh with other points; their scale stays [m]."""

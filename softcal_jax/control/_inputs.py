@@ -244,7 +244,7 @@ def sample_workspace(
         effectors.setdefault(record.name, []).append(row)
     converged = np.asarray(solution.converged)
     failures = []
-    for i in np.flatnonzero(~converged):
+    for i in np.flatnonzero(~converged).tolist():
         pairs = zip(names, inputs[i], strict=True)
         asked = ", ".join(f"{name} = {value:g}" for name, value in pairs)
         failures.append(f"sample {i} ({asked}): {outcome_words(lane_of(solution, i))}")
