@@ -1,6 +1,6 @@
 """The data of ready-made robots that nobody measured: meshes and synthetic readings.
 
-    python tests/ready_made.py pneumatic_finger parallel_robot pressed_pad
+    python tests/ready_made.py pneumatic_finger pressed_pad ... (by default all)
 
 writes them into the package, beside the project files. `cable_project.py` does the same
 for the cable beam.
@@ -10,6 +10,7 @@ import csv
 import math
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,15 @@ PAD_E = {"left": 90e3, "right": 220e3}
 PAD_CELLS = [14, 7, 4]
 """Moduli of the halves [Pa], and cells of the finer pad."""
 
+BELLOWS_E, BELLOWS_STD = 10e6, 0.1e-3
+"""Modulus [Pa] and noise [m] behind the readings."""
+
+BELLOWS_GAP = 1e-3
+BELLOWS_CELLS = {"along": 3, "across": 3, "up": 4}
+"""Gaps of the folds [m], and cells of the finer finger."""
+
+BELLOWS_POSES = ("100 kPa", "300 kPa", "500 kPa", "400 kPa")
+
 
 def pneumatic_finger(folder: Path) -> None:
     """CAD model, mesh, and the markers of a finer finger of the true modulus."""
@@ -44,19 +54,8 @@ def pneumatic_finger(folder: Path) -> None:
     finer = {
         "mesh": {"file": "finger.step", "size": "2.5 mm"},
         "material.E": f"{FINGER_E} Pa",
-        "shared.measured": None,
-        **{f"configurations.{name}.measured": None for name in FINGER_POSES},
     }
-    project = load_project(folder / "project.toml", changes=finer)
-    random = np.random.default_rng(0)
-    rows = []
-    for c in simulated_measurements(project.model, project.configurations):
-        seen = c.measured + FINGER_STD * random.standard_normal(c.measured.shape)
-        rows += [
-            [c.name, name, *(f"{1e3 * x:.3f}" for x in place)]
-            for name, place in zip(c.markers.names, seen, strict=True)
-        ]
-    _write(folder / "markers.csv", ["pose", "marker", "x_mm", "y_mm", "z_mm"], rows)
+    _markers(folder, finer, FINGER_POSES, FINGER_STD)
 
 
 def ordered_robot():
@@ -103,6 +102,40 @@ def pressed_pad(folder: Path) -> None:
         print(f'{c.name}: measured.effectors.cell = "({forces}) N"')
 
 
+def write_bellows(path: Path, **cells: int) -> None:
+    """Write the mesh of the bellows finger, with other numbers of cells if given."""
+    from benchmarks._bellows import Cells, bellows
+
+    mesh = bellows(3, BELLOWS_GAP, Cells(**cells), ends=False, order=1)
+    write_mesh(mesh, path, length_unit="mm")
+
+
+def bellows_finger(folder: Path) -> None:
+    """Mesh, and the markers of a finger of the true modulus on a finer mesh."""
+    write_bellows(folder / "bellows.msh")
+    with TemporaryDirectory() as place:
+        file = Path(place) / "finer.msh"
+        write_bellows(file, **BELLOWS_CELLS)
+        changes = {"mesh.file": str(file), "material.E": f"{BELLOWS_E} Pa"}
+        _markers(folder, changes, BELLOWS_POSES, BELLOWS_STD)
+
+
+def _markers(folder: Path, changes, poses, std: float) -> None:
+    """Write where markers are seen, with noise [m], on a project that is changed."""
+    changes |= {"shared.measured": None}
+    changes |= {f"configurations.{name}.measured": None for name in poses}
+    project = load_project(folder / "project.toml", changes=changes)
+    random = np.random.default_rng(0)
+    rows = []
+    for c in simulated_measurements(project.model, project.configurations):
+        seen = c.measured + std * random.standard_normal(c.measured.shape)
+        rows += [
+            [c.name, name, *(f"{1e3 * x:.3f}" for x in place)]
+            for name, place in zip(c.markers.names, seen, strict=True)
+        ]
+    _write(folder / "markers.csv", ["pose", "marker", "x_mm", "y_mm", "z_mm"], rows)
+
+
 def _write(path: Path, header, rows) -> None:
     with path.open("w", newline="") as file:
         lines = csv.writer(file, lineterminator="\n")
@@ -113,6 +146,7 @@ MAKERS = {
     "pneumatic_finger": pneumatic_finger,
     "parallel_robot": parallel,
     "pressed_pad": pressed_pad,
+    "bellows_finger": bellows_finger,
 }
 
 if __name__ == "__main__":

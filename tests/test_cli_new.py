@@ -4,7 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from ready_made import FINGER_E, PAD_E, ordered_robot
+from ready_made import BELLOWS_E, FINGER_E, PAD_E, ordered_robot, write_bellows
 from recordings import motion, write_recording
 from wording import says
 
@@ -532,6 +532,32 @@ def test_the_pressed_pad_is_calibrated(tmp_path):
     (middle,) = [c for c in result.configurations if c.role == "validation"]
     (cell,) = middle.effectors
     assert np.all(np.abs(cell.residual) < 3.0 * cell.std)
+
+
+def test_the_mesh_of_the_bellows_finger_is_as_it_is_made(tmp_path):
+    write_bellows(tmp_path / "bellows.msh")
+    committed = ready_made_path("bellows-finger").with_name("bellows.msh")
+    assert committed.read_text() == (tmp_path / "bellows.msh").read_text()
+
+
+@pytest.mark.slow  # minutes
+@pytest.mark.parametrize("touching", [True, False])
+def test_the_bellows_finger_is_calibrated_where_its_folds_touch(tmp_path, touching):
+    """Where they pass through each other the result says so, and E is far too low."""
+    new(tmp_path / "mine", "--robot", "bellows-finger")
+    changes = {} if touching else {"material.touching": None}
+    result = load_project(tmp_path / "mine/project.toml", changes=changes).calibrate()
+    (E,) = result.parameters
+    if touching:
+        assert result.converged
+        assert abs(E.value - BELLOWS_E) < 2.0 * E.standard_error
+        assert all(c.self_contact is None for c in result.configurations)
+        (held_out,) = [c for c in result.configurations if c.role == "validation"]
+        assert held_out.rms_after < 0.2 * held_out.rms_before
+    else:
+        assert E.value < 0.6 * BELLOWS_E
+        assert BELLOWS_E - E.value > 10.0 * E.standard_error
+        assert "touches itself" in str(assess(result))
 
 
 @pytest.mark.filterwarnings("ignore::softcal_jax.mesh.MeshWarning")

@@ -128,8 +128,8 @@ def add_new(commands: "argparse._SubParsersAction") -> None:
 Writes a new folder with a commented project file and all that it needs.
 
 With --robot, that is a ready-made robot: beam, pneumatic-arm, tentacle, emio
-(measured), cable-beam, pneumatic-finger, parallel-robot or pressed-pad (synthetic
-readings).
+(measured), cable-beam, pneumatic-finger, parallel-robot, pressed-pad or bellows-finger
+(synthetic readings).
 
 With --model, the project is for your own mesh or CAD model. Groups of the file are
 listed in it. Where no file gives the unit, supports, loads or moduli, they are guessed;

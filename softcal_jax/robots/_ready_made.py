@@ -123,6 +123,7 @@ READY_MADE = {
     "tentacle": "soft_tentacle",
     "emio": "emio",
     "pressed-pad": "pressed_pad",
+    "bellows-finger": "bellows_finger",
 }
 """Folders of this package, by the names of the robots that users type."""
 
