@@ -326,7 +326,7 @@ def _closed(n: int) -> dict[str, float]:
     for _ in range(n):
         noise = [NOISE * rng.standard_normal(both.shape) for _ in exact]
         read = [
-            replace(pose, measured=pose.measured + more)
+            replace(pose, measured=np.asarray(pose.measured) + more)
             for pose, more in zip(exact, noise, strict=True)
         ]
         found = calibrate(
