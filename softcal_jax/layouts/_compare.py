@@ -105,7 +105,7 @@ def _fit(
 
     The fit to all comes first, and searches from every start. Each fold begins where it
     ended, and at the other optima that it found, near which its own lie; it goes on to
-    its own end.
+    its own end. One that does not get there searches from every start, too.
     """
     n_c = len(problem.poses)
 
@@ -132,6 +132,8 @@ def _fit(
     def without(pose: int) -> _Fit:
         fitted = np.arange(n_c) != pose
         fold, _ = fit(fitted, ends or starts, mirror=not ends)
+        if ends and not fold.run.converged:
+            fold, _ = fit(fitted, starts, mirror=True)
         done.append(pose)
         progress(f"{len(done)} of {n_c} fits to all configurations but one")
         return fold

@@ -96,7 +96,7 @@ def run_sweep(
             f"{len(points)} parts, one for each trial."
         )
     first, last = (len(points) * edge // n for edge in (k, k + 1))
-    trials = as_trials(points[first:last], seed)
+    trials = as_trials(points, range(first, last), seed)
     axes = tuple(trials[0].point)
     check_known("axis", axes, *repeats)
     _check_workers(executor, workers, cores_per_worker)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -239,13 +239,14 @@ class Trial:
 
 
 def as_trials(
-    points: Iterable[Mapping[str, Any]], sweep_seed: int
+    points: Sequence[Mapping[str, Any]], these: range, seed: int
 ) -> tuple[Trial, ...]:
-    """Make the trials of a sweep; all must have the same axes and different points."""
-    points = points if isinstance(points, Sequence) else tuple(points)
-    text = "a sweep (--part and --of run larger ones in parts)"
-    TRIALS.check(text, len(points))
-    trials = tuple(Trial(point, sweep_seed) for point in points)
+    """Make trials of a sweep; all must have the same axes and different points.
+
+    That there are too many is said before any point is made.
+    """
+    TRIALS.check("a sweep (--part and --of run larger ones in parts)", len(these))
+    trials = tuple(Trial(points[i], seed) for i in these)
     if not trials:
         raise ValueError("the sweep has no trials: give each axis at least one value.")
     axes = tuple(trials[0].point)
