@@ -180,6 +180,7 @@ def write_poses_of_the_print(design, folder):
     (folder / "project.toml").write_text(text)
 
 
+@pytest.mark.slow
 def test_poses_of_the_print_calibrate_it(designed, tmp_path):
     """Found again, from the same project."""
     write_poses_of_the_print(designed, tmp_path)

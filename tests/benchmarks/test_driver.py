@@ -233,6 +233,7 @@ def test_a_run_draws_its_page(package, tmp_path, capsys):
     assert f"plots: {tmp_path / 'nothing.png'}" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_run_all_goes_on_after_a_failure(package, tmp_path, monkeypatch, capfd):
     """One folder, one process and one record per problem; `compare` reads them."""
     monkeypatch.chdir(tmp_path)

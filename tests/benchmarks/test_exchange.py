@@ -26,6 +26,7 @@ def test_every_part_has_a_count_and_every_goal_a_part():
     assert {name.partition("_")[0] for name in exchange.GOALS} == starts
 
 
+@pytest.mark.slow
 def test_scenes_for_sofa(tmp_path):
     """Of a robot with cables and a chamber, four configurations, releases and units."""
     figures, said = run(tmp_path, sofa_scenes=1)
@@ -65,6 +66,7 @@ def test_a_pose_within_what_is_stated():
         np.testing.assert_allclose(error[:2], [shift * std, 0.0], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_command_that_fails_is_told(tmp_path):
     with pytest.raises(RuntimeError, match=r"softcal mesh none.step -o a.msh failed"):
         _cad_to_result._softcal(tmp_path, ["mesh", "none.step", "-o", "a.msh"])

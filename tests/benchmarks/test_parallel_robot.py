@@ -118,6 +118,7 @@ def test_poses_are_found_from_rest_at_once(working_point):
         assert int(solution.steps) <= 30, c.name
 
 
+@pytest.mark.slow
 def test_poses_of_the_workspace_are_found_from_rest():
     """Each has an equilibrium, also those on whose way the robot buckles twice."""
     angles = 30.0 + 30.0 * np.random.default_rng(2).random((100, 6))

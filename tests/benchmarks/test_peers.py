@@ -180,6 +180,7 @@ def test_a_run_out_of_time_counts_as_its_limit(job):
     assert end == (0.0, 0, False)
 
 
+@pytest.mark.slow
 def test_a_peer_that_solves_another_problem_is_refused(job):
     ours, gradient = peers.our_slope(job), peers.by_parameter(Adjoint(job))
     with pytest.raises(RuntimeError, match=r"other .*tip by"):

@@ -209,6 +209,7 @@ def deviations():
     }
 
 
+@pytest.mark.slow
 def test_all_causes_are_here():
     """A cause that the budget has and `CHANGES` does not, or the other way round."""
     assert set(deviations()) == set(CHANGES)
@@ -456,6 +457,7 @@ def test_a_standard_deviation_is_not_negative(value):
         Uncertain(nu=value)
 
 
+@pytest.mark.slow
 def test_linear_tets_know_how_far_off_they_are():
     """Fitted to quadratic tets of the same mesh: ln E is off by ln(e_linear / e).
 

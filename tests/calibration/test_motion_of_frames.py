@@ -111,6 +111,7 @@ def result():
     return fitted(measured())
 
 
+@pytest.mark.slow
 def test_any_mounting_leaves_the_modulus_exact():
     """Columns R d and R r hold what a mounting adds, however large it is."""
     exact = fitted(measured(noise=0.0, mounted=FAR))

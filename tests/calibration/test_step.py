@@ -156,6 +156,7 @@ def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
         assert result.value(name) == pytest.approx(value, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_fit_ends_where_a_body_is_isotropic(quadratic):
     """Noise puts the optimum where both moduli of CP 2 meet; tensors do not end there.
 

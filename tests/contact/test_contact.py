@@ -261,6 +261,7 @@ def test_a_body_that_begins_inside_an_obstacle_is_refused():
     assert contacts["press"].force[2] > 1.0
 
 
+@pytest.mark.slow
 def test_what_sticks_moves_like_what_is_held():
     """A block sheared between sticking planes, and one whose faces are moved."""
     rough = [replace(body, friction=2.0) for body in (FLOOR, PRESS)]

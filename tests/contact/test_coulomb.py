@@ -135,6 +135,7 @@ def test_what_is_clamped_is_not_said_to_slide():
     assert RESULTS.max_steps == solution.result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.0, 0.3])
 def test_where_a_rough_table_stands_along_itself_does_not_matter(turn):
     """Its mounting is no slip, neither for the state nor for what it leads to."""
@@ -223,6 +224,7 @@ def force_of(pose):
     return force
 
 
+@pytest.mark.slow
 def test_no_friction_is_a_bound_that_a_fit_may_reach():
     """Force and derivative are those without friction, and of a little of it."""
     force, p = force_of(dragged(2e-3)), jnp.array([1.0, 0.0])

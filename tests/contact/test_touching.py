@@ -160,6 +160,7 @@ def test_a_solve_that_fails_says_which_surfaces_touch_and_where():
     assert "low on high" not in outcome_words(solved(BLOCKS, SQUEEZE))
 
 
+@pytest.mark.slow
 def test_points_that_lie_over_edges_leave_the_tangent_finite():
     """Meshes that match have points over edges, where two faces are the nearest."""
     mesh = two_blocks(order=1, cells=((1, 1, 2), (2, 2, 2)))
@@ -253,6 +254,7 @@ def test_which_surface_is_named_first_changes_only_the_sign():
     np.testing.assert_allclose(back.moment, -forth.moment, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_touching_state_are_exact():
     """By the modulus, and by the points; forward is reverse."""
     mesh = two_blocks(order=1, cells=((1, 1, 1), (2, 2, 1)))
@@ -324,6 +326,7 @@ PUSH = SurfaceForce("top", (0.0, 0.0, -0.03)), SurfaceForce("bottom", (0.0, 0.0,
 CLOSED = Configuration("closed", ["root"], loads=PUSH, gravity=NO_WEIGHT)
 
 
+@pytest.mark.slow
 def test_a_fold_closes_as_its_half_on_a_mirror():
     fold = build_model(
         FOLD, LAW, density=0.0, touching=[("upper", "lower")], contact_scale=2e-5
@@ -367,6 +370,7 @@ def cavity(cells=(8, 8, 5)):
     return mesh.with_node_group("bottom", bottom)
 
 
+@pytest.mark.slow
 def test_a_chamber_that_is_sucked_flat_converges():
     """The pressure goes on pulling at both walls; a surface can touch itself."""
     mesh = cavity()

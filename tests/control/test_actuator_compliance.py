@@ -175,6 +175,7 @@ def test_no_equilibrium_no_derivative():
     assert np.all(np.isnan(response.W_ea[:9]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0, 0.0])
 def test_energy_of_a_robot_that_its_motors_hold(sign):
     """W_aa without a positive eigenvalue: sizes count, and nothing is divided by 0."""

@@ -153,6 +153,7 @@ def driven_by(drive):
     return lane, solution, state, compliance(block(), lane, solution)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", DRIVES)
 def test_displacements_imposed_give_back_the_forces(drive):
     _, solution, state, _ = driven_by(drive)

@@ -10,6 +10,7 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 
+@pytest.mark.slow
 def test_a_cable_that_is_let_go_stays_so():
     """Which way it last moved sets the sign of its friction, in every command."""
     guides = [(0.0, 0.01, 0.02), (0.05, 0.01, 0.0), (0.1, 0.01, 0.02)]

@@ -68,6 +68,7 @@ def test_reachable_goal_is_met_and_its_actuation_found():
     np.testing.assert_allclose(again, goal, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_imposed_shortening_is_found():
     """The same by displacement: two lengths for a bend with little co-contraction."""
     start = robot(top=ImposedDisplacement(0.0), bottom=ImposedDisplacement(0.0))
@@ -119,6 +120,7 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     assert angle[0] <= result.inputs[1] <= angle[1]
 
 
+@pytest.mark.slow
 def test_cables_never_push():
     """To bend down with the upper cable alone: it goes slack, and says so."""
     start = robot(top=1.0)
@@ -137,6 +139,7 @@ def test_cables_never_push():
     check_only(result.active_limits, "force ... 'top' ... lower")
 
 
+@pytest.mark.slow
 def test_slack_cable_is_wound_up_first():
     """A cable let out by 5 mm has no effect that a derivative could see."""
     start = robot(bottom=ImposedDisplacement(-0.005))
@@ -162,6 +165,7 @@ def test_limits_of_what_follows_hold():
     check_only(result.active_limits, "force ... 'top' ... upper")
 
 
+@pytest.mark.slow
 def test_limits_of_a_held_cable_hold():
     """The upper cable keeps its length while the lower one yields; its force rises."""
     d = 0.004

@@ -35,6 +35,7 @@ def end(model, configuration, state):
     return jnp.mean(model.positions(state.displacement)[END], axis=0)
 
 
+@pytest.mark.slow
 def test_an_observation_is_brought_to_its_goal():
     """Made by simulation with another tension, which comes back."""
     effectors = [Observation("end", end, "m", std=np.full(3, 1e-3))]

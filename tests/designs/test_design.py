@@ -179,6 +179,7 @@ def test_a_limit_holds_a_goal(wanted):
     assert says(str(made), "'end' in 'much' is off by", "mm")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompared")
 def test_two_goals_compete():
     """Under one tension the tip cannot be in two places; both give way alike."""

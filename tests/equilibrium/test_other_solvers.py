@@ -50,6 +50,7 @@ def test_another_solver_finds_the_same_equilibrium(solver):
     )
 
 
+@pytest.mark.slow
 def test_bodies_and_imposed_lengths():
     """A cable that pulls a tip, another that stays slack, and the force of each."""
     cables = (

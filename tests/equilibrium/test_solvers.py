@@ -1,5 +1,6 @@
 """The sparse solvers of all platforms give one solution; errors before any of them."""
 
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -353,7 +354,7 @@ def test_a_zero_pivot_of_minimum_degree_is_no_singular_matrix():
 
 
 def test_a_matrix_near_the_last_is_solved_by_its_factors():
-    """By refinement; one that is far is factorized, and its eigenvalues counted.
+    """By refinement, to rounding if exactly; one that is far is factorized.
 
     Of opposite right-hand sides the residuals cancel in a sum, and of one that is large
     beside another they drown it: each is judged by itself.
@@ -375,7 +376,14 @@ def test_a_matrix_near_the_last_is_solved_by_its_factors():
         left = jax.vmap(lambda row: product(sparsity, other, row))(x.x) - rhs
         return first.ok & x.ok, x.n_negative, jnp.linalg.norm(left, axis=1)
 
+    exactly = jax.jit(partial(solver.solve_near, exact=True))
     for size, factorized in ((1e-4, False), (0.3, True)):
+        near = jnp.asarray(values + size * change)
+        by_factors(solver, jnp.asarray(values), jnp.asarray(rhs)).x.block_until_ready()
+        exact = jax.block_until_ready(exactly(near, rhs))
+        expected = by_factors(solver, near, jnp.asarray(rhs))
+        np.testing.assert_allclose(exact.x, expected.x, rtol=0, atol=1e-14)
+        assert (int(exact.n_negative) >= 0) == factorized
         for rows in (rhs, opposite, uneven):
             ok, n_negative, left = one_by_one(values, values + size * change, rows)
             assert bool(ok)
@@ -438,6 +446,7 @@ class Counted(AbstractLinearSolver):
         return self.spoiled * self.real.solve_again(values, rhs)
 
 
+@pytest.mark.slow
 def test_products_with_the_hessian_factorize_nothing():
     """Both solves take factors that are there, or new ones if those are of another."""
     pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")

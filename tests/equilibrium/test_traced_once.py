@@ -54,6 +54,7 @@ def test_of_all_calls(name, assembled, monkeypatch):
     assert count == [1]
 
 
+@pytest.mark.slow
 @KERNELS
 def test_nothing_of_a_program_is_kept(name, assembled):
     model = plain_model()

@@ -85,6 +85,7 @@ def test_only_measured_axes_have_rows(sensitivities):
     np.testing.assert_allclose(measured["E"], sensitivities["E"][rows], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_all_tets_together_without_a_potential():
     """Rows add up to the direct side, whose tangent is not transposed."""
     reduced = ReducedTransverseIsotropic(1e5, 4e4, 0.3, Fibre(0.5))

@@ -109,6 +109,7 @@ def test_legs_meet_the_centre_part(tables, k):
     np.testing.assert_allclose(rotation @ -up, -out, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_angles_bring_the_scene_where_it_was():
     """On a coarse mesh: the motors that `approach` finds do it without idle work."""
     model = robot(_emio_mesh.SCENE, 8, across=(1, 1))

@@ -102,6 +102,7 @@ FIELD = ControlPointParameters(
 SPACE = ParameterSpace([FIELD, WALL, shape_offset("slanted", limit=2e-3, **KNOWN)])
 
 
+@pytest.mark.slow
 def test_derivatives_meet_differences_and_forward_equals_reverse():
     lane = lanes(MODEL, pose("hang", 0.002, 9.81))[0]
 
