@@ -35,7 +35,7 @@ class LinearSolution(NamedTuple):
 REFINED = 1e-6
 """Residual over its right-hand side at which a solution belongs to its matrix [-]."""
 
-_ROUNDING = 4.0 * np.finfo(float).eps
+_ROUNDING = float(np.finfo(float).eps)
 """Backward error at which a solution is as good as that of a factorization [-]."""
 
 

@@ -29,6 +29,7 @@ from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import (
     _solver_choice,
     build_model,
+    linearise,
     solve_equilibrium,
     tangent_values,
 )
@@ -444,6 +445,32 @@ class Counted(AbstractLinearSolver):
 
     def solve_again(self, values, rhs):
         return self.spoiled * self.real.solve_again(values, rhs)
+
+
+def test_derivatives_are_solved_to_rounding():
+    """Also with the factors of a state that is only near."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    model = small_model("pardiso")
+    hanging_lane = lane(small_lanes(hanging()), 0)
+    u = solve_equilibrium(model, hanging_lane).displacement
+    force = jnp.asarray(
+        np.random.default_rng(0).normal(size=(2, model.solver.sparsity.n_dof))
+    )
+    gap = jnp.zeros((2, 0))
+
+    @partial(jax.jit, static_argnames="differentiable")
+    def after_another(model, u, *, differentiable):
+        other = linearise(model, hanging_lane, (1.0 + 1e-5) * u).solve(force, gap)
+        u = u + 0.0 * jnp.sum(other.x)  # not before the other
+        how = {"differentiable": differentiable}
+        return linearise(model, hanging_lane, u, **how).solve(force, gap).x
+
+    exact, expected = (
+        after_another(model, u, differentiable=flag) for flag in (True, False)
+    )
+    scale = float(jnp.max(jnp.abs(expected)))
+    # Rounding, times the condition of a slender body.
+    np.testing.assert_allclose(exact, expected, rtol=0, atol=1e-10 * scale)
 
 
 @pytest.mark.slow
