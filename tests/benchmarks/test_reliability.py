@@ -111,6 +111,7 @@ def solved():
     raise AssertionError("none of twenty bodies has such an equilibrium")
 
 
+@pytest.mark.slow
 def test_a_solution_is_found_to_be_one(solved):
     assert judge(*solved).violations == []
 

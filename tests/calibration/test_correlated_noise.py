@@ -148,6 +148,7 @@ def test_without_correlated_noise_errors_are_divided_by_their_std():
     np.testing.assert_allclose(none.rows.error[:-1], errors, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_second_optimiser_ends_at_the_same_place():
     data = measured(relative_std=0.03, share=0.03)
     result = fit(data)

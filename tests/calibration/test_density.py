@@ -126,6 +126,7 @@ def test_their_derivatives_meet_differences_at_second_order(problem, result):
     np.testing.assert_allclose(off[0] / off[1], 9.0, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_the_density_at_the_fit_is_normal_with_all_errors(density, result):
     """Mahalanobis' distance by a covariance of noise and considered errors."""
     fit, x = result.linear.of_fit(), jnp.zeros(2)

@@ -107,6 +107,7 @@ def test_a_block_between_planes_is_compressed_evenly(travel):
     )
 
 
+@pytest.mark.slow
 def test_a_weight_that_is_pushed_slides_down_until_the_block_carries_it():
     mass, gravity, pushed = 0.2, 9.81, 1.5
     plate = RoundedBox((0.03, 0.03, 0.01), 2e-3)

@@ -260,6 +260,7 @@ def test_derivatives_of_what_sticks_and_slides(aside):
     assert errors[1] < 0.2 * errors[0]
 
 
+@pytest.mark.slow
 def test_friction_is_calibrated_beside_the_modulus():
     """From the forces of a probe that is pressed, and of one that is dragged on."""
     poses = [dragged(0.0, "pressed"), dragged(2e-3, "dragged")]

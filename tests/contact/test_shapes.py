@@ -50,6 +50,7 @@ def test_what_is_drawn_is_the_surface(shape):
     np.testing.assert_allclose(distances, 0.0, atol=2e-4)  # of facets
 
 
+@pytest.mark.slow
 def test_a_surface_of_a_file_is_a_smooth_distance(tmp_path):
     ball = pv.Sphere(radius=10.0, theta_resolution=120, phi_resolution=120)
     ball.save(tmp_path / "ball.stl")

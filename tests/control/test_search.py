@@ -39,6 +39,7 @@ def robot(gravity=REST, **actuation):
     return pose(gravity, EFFECTORS, **actuation)
 
 
+@pytest.mark.slow
 def test_a_goal_on_the_other_side_of_a_fold_is_met():
     """x of the tip is l cos(angle): downhill from -0.05 is the limit at -0.1.
 

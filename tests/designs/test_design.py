@@ -126,6 +126,7 @@ def made(wanted, answers):
     )
 
 
+@pytest.mark.slow
 def test_what_a_graded_finger_can_do_is_designed(made, wanted):
     assert made.met
     assert headline(made).startswith("Designed: all 4")

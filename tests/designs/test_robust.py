@@ -70,6 +70,7 @@ def test_specimens_have_the_mean_and_the_covariance_of_prints(seed):
     np.testing.assert_allclose(off.T @ off / len(off), np.diag(std**2), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_calibration_to_specimens_that_deviate():
     """Three prints, each off by known factors: what they have in common is found."""
     off = jnp.array([[0.2, -0.1, 0.1], [-0.3, 0.1, -0.05], [0.1, 0.2, 0.3]])

@@ -110,6 +110,7 @@ def test_without_a_count_of_negative_eigenvalues_it_is_refused():
         solve_equilibrium(model, lane, solver=optx.Newton(**TOLERANCES))
 
 
+@pytest.mark.slow
 def test_a_ball_does_not_jump_through_a_plate():
     """Moved to its end at once it has passed: the plate would be in balance at rest."""
     plate = beam(0.04, 0.01, 1e-3, (4, 1, 1), origin=(0, 0, -1e-3))

@@ -80,6 +80,7 @@ def test_geometry_tells_a_mistake_before_any_fit(what):
     assert says(" ".join(lines), *case.words)
 
 
+@pytest.mark.slow
 def test_what_leaves_more_than_noise_is_no_mistake():
     """Gravity is stated across; reversed, it would leave 29 standard deviations."""
     read = robot().measured(np.random.default_rng(7))

@@ -127,6 +127,7 @@ def test_angles_bring_the_scene_where_it_was():
     assert abs(idle @ torques) < 1e-3 * np.linalg.norm(torques)
 
 
+@pytest.mark.slow
 def test_linear_tets_lock_and_quadratic_ones_do_not():
     """The clamped leg against the theory of beams, between the authors' boxes."""
     mesh = _emio_leg.authors_mesh()
