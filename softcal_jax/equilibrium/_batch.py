@@ -300,7 +300,7 @@ class _Lanes:
 def _trouble(model: Model, lane: ConfigurationArrays, state: LoadState) -> str:
     """Say which load the body resists, and where, after three cuts of the load."""
     if state.fell:
-        return "no load holds it where it is: it moves until a contact does"
+        return "no load holds it where it is: it moves until what it touches does"
     if not 0.0 < float(state.increment) <= _CUT * (1.0 - float(state.load_ok)):
         return ""
     det = np.linalg.det(tet_states(model, state.stray).F).min(axis=1)

@@ -143,8 +143,8 @@ class AbstractLinearSolver(Module):
             x = x + self.solve_again(values, left)
             left = rhs - jax.lax.map(times, x)
             # One by one: in a sum of them, residuals may cancel.
-            whole = size + largest * jnp.linalg.norm(x, axis=1)
-            ratio = jnp.max(jnp.linalg.norm(left, axis=1) / whole)
+            scale = size + largest * jnp.linalg.norm(x, axis=1)
+            ratio = jnp.max(jnp.linalg.norm(left, axis=1) / scale)
             return x, left, ratio, count + 1.0
 
         def worth_it(carry):

@@ -283,6 +283,8 @@ def _last_contacts(model: Model, lane: ConfigurationArrays, state: LoadState) ->
     """Compute `contacts` of a solution that failed."""
     contacts, rest = model.mechanism.contacts, np.asarray(model.mechanism.points)
     rows = np.full((len(contacts.touched), 5), np.nan)
+    if not contacts.touched:
+        return jnp.asarray(rows)
     last = state.stray if state.done else state.iterate.point.u
     for u in (state.ok.u, last) if state.load_ok > 0.0 else (last,):
         if np.all(np.isnan(rows)):

@@ -54,9 +54,6 @@ such directions, so more steps are allowed.
 """
 
 
-Progress = Callable[[str], None] | Literal[False] | None
-
-
 class _Fit(NamedTuple):
     """End of a fit, and the evaluation of all configurations with its parameters.
 
@@ -209,7 +206,7 @@ def compare_layouts(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -247,7 +244,7 @@ def compare_laws(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Find the law, or the mesh, that best predicts what it was not fitted to.
 
@@ -298,8 +295,9 @@ def compare_laws(
             )
         except ValueError as error:
             raise ValueError(f"{name!r}: {error}") from error
-    options = {"settings": settings, "starts": starts, "seed": seed}
-    return compare_models(problems, **options, progress=progress)
+    return compare_models(
+        problems, settings=settings, starts=starts, seed=seed, progress=progress
+    )
 
 
 def compare_models(
@@ -308,7 +306,7 @@ def compare_models(
     settings: CalibrationSettings | None = None,
     starts: int | None = None,
     seed: int = 0,
-    progress: Progress = None,
+    progress: Callable[[str], None] | Literal[False] | None = None,
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
 

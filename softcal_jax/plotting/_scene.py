@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
 _GHOST = "#ececec"  # colour of the body at rest
 _ROUND: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": True}
-_STRENGTHS = 1.0, 1.0, 0.5, 0.85, 0.45  # at rest, deformed, obstacles, touched, outline
+_COVERED, _TOUCHED, _OUTLINE = 0.5, 0.85, 0.45  # strengths of what lies over the body
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 _REMEDY = (
@@ -210,14 +210,16 @@ def body_image(
             body += touched
             actors = [*ghost, *body, *around]
             layer = partial(_layer, plotter, actors)
-            shown = ghost, body, touched, ghost[1:]
-            behind, alone, through, outline = map(layer, shown)
+            behind, alone, outline = map(layer, (ghost, body, ghost[1:]))
             covered = layer([*body, *around]) if around else alone
-            layers = behind, alone, covered, through, outline
+            layers = [(behind, 1.0), (alone, 1.0), (covered, _COVERED)]
+            if touched:
+                layers.append((layer(touched), _TOUCHED))
+            layers.append((outline, _OUTLINE))
         finally:
             plotter.close()
     picture = np.full((height, width, 3), 255.0, np.float32)
-    for (colour, cover), strength in zip(layers, _STRENGTHS, strict=True):
+    for (colour, cover), strength in layers:
         picture += strength * (colour - cover * picture)
     return np.rint(picture).clip(0, 255).astype(np.int32)
 

@@ -1,6 +1,7 @@
 """Sweeps that run in parts, each a file of one folder."""
 
 import os
+from collections.abc import Sequence
 
 import cheap
 import numpy as np
@@ -77,14 +78,29 @@ def test_numbers_of_parts(tmp_path, k, of):
     assert os.listdir(tmp_path) == []
 
 
+class Counted(Sequence):
+    """Ten million points, and the number of those that were made."""
+
+    made = 0
+
+    def __len__(self):
+        return 10_000_000
+
+    def __getitem__(self, index):
+        self.made += 1
+        return {"a": index}
+
+
 def test_millions_of_points_are_made_when_they_are_asked_for(tmp_path):
     points = grid(
         {"a": range(1000), "b": np.linspace(0.0, 1.0, 1000).tolist(), "c": range(10)}
     )
     assert len(points) == 10_000_000
     assert points[-1] == {"a": 999, "b": 1.0, "c": 9}
+    many = Counted()
     with pytest.raises(ValueError, match=r"--part.* 10 000 000 trials.* 100 000"):
-        run_sweep(cheap.measure, points, tmp_path / "s", workers=0)
+        run_sweep(cheap.measure, many, tmp_path / "s", workers=0)
+    assert many.made < 100  # by the check of types
     total = lambda trial: {"sum": trial["a"] + trial["b"] + trial["c"]}
     rows = run_sweep(total, points, tmp_path, part=(9_999, 10_000), workers=0).rows
     assert len(rows) == 1000
