@@ -168,6 +168,32 @@ def test_what_is_held_out_cannot_touch_the_fit(data):
     assert np.all(z[0][[0, 2, 3]] != z[1][[0, 2, 3]])
 
 
+def test_folds_begin_where_the_fit_to_all_ended(data, monkeypatch):
+    """One that does not converge from there begins at the start, with its images."""
+    problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
+    start, settings = problem.space.start(), _compare.FOR_PREDICTION
+    real, begun = _compare.run_start, []
+
+    def recorded(evaluator, settings, z, **more):
+        run = real(evaluator, settings, z, **more)
+        held_out = ~np.any(
+            evaluator.problem.configurations.effectors.inverse_std, (1, 2)
+        )
+        begun.append((tuple(np.flatnonzero(held_out)), float(z[0])))
+        if begun[-1][0] == (1,) and begun[-1][1] != float(start[0]):
+            run = run._replace(best=replace(run.best, converged=False))
+        return run
+
+    monkeypatch.setattr(_compare, "run_start", recorded)
+    *folds, last = _compare._fit(problem, settings, [start])
+    assert begun[0] == ((), float(start[0]))
+    of_fold = lambda k: [z for held_out, z in begun[1:] if held_out == (k,)]
+    end = float(last.run.z[0])
+    assert of_fold(0)[0] == of_fold(1)[0] == of_fold(2)[0] == end
+    assert of_fold(1)[-1] == float(start[0]) not in of_fold(0)
+    assert all(fold.run.converged for fold in folds)
+
+
 def test_a_fold_repeats_another_pose_without_weight(data):
     """The middle one held out: its lane is the last one again, weighing nothing."""
     problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
