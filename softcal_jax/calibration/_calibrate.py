@@ -323,8 +323,9 @@ def _problem(
 ) -> tuple[Problem, dict[str, str]]:
     """Stack a calibration into arrays; see `read_once` for what is repeated."""
     check_process()
+    followed = {c.after for c in configurations}
     for configuration in configurations:
-        if not configuration.is_measured:
+        if not configuration.is_measured and configuration.name not in followed:
             raise ValueError(
                 f"configuration {configuration.name!r} has no measured positions: give "
                 "`markers` and `measured`, or `effectors` with measured values."

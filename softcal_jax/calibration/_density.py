@@ -15,9 +15,10 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._text import listed
-from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._typing import Array, Float, check_untraced, is_traced
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._result import CalibrationResult
+from softcal_jax.configurations import earlier_lanes, in_order
 from softcal_jax.equilibrium import (
     check_converged,
     effector_values,
@@ -41,7 +42,8 @@ def errors(
     Args:
         problem: The calibration, by `build_problem`; its held-out poses do not count.
         z: Scaled parameters [-].
-        guess: Displacements to start the equilibria from [m]; by default rest.
+        guess: Displacements to start the equilibria from [m]; by default rest, or that
+            of the pose that one follows.
 
     Returns:
         The errors [-]; all infinite, with derivatives of zero, where a pose has no
@@ -49,17 +51,42 @@ def errors(
     """
     problem = problem.fitted.bare
     traced = any(map(is_traced, jax.tree.leaves(problem)))
-    return _errors(problem if traced else problem.numbered, z, guess)
+    problem = problem if traced else problem.numbered
+    return _errors(problem, z, guess, _earlier(problem))
+
+
+def _earlier(problem: Problem) -> tuple[int | None, ...]:
+    """Return the pose that each follows, see `Configuration.after`."""
+    poses = problem.configurations
+    if poses.is_stage.shape[-1] == 0:
+        return (None,) * len(poses)
+    check_untraced("the problem, of which poses follow others,", poses.key, "")
+    return tuple(earlier_lanes([*poses]))
 
 
 @eqx.filter_jit
-def _errors(problem: Problem, z, guess, considered=None) -> Float[Array, " n"]:
+def _errors(
+    problem: Problem, z, guess, earlier: tuple[int | None, ...], considered=None
+) -> Float[Array, " n"]:
     lanes, off = problem.configurations, problem.deviations
+    at_rest = guess is None
     if guess is None:
         guess = jnp.zeros((len(lanes), problem.model.n_points, 3))
-    of_each = (lanes, guess) if off is None else (lanes, guess, off)
-    shared = problem.space, problem.newton, z
-    e, ok = map_lanes(_readings, problem.model, of_each, *shared)
+    shared, measured = (problem.space, problem.newton, z), lanes.effectors.measured
+    u, e, ok = guess, jnp.zeros(measured.shape), jnp.zeros(len(lanes), bool)
+    for group in in_order(earlier):
+        of_each = (lanes, guess) if off is None else (lanes, guess, off)
+        at = slice(None) if len(group) == len(lanes) else np.array(group)
+        of_group = jax.tree.map(lambda leaf, at=at: leaf[at], of_each)
+        ended = map_lanes(_readings, problem.model, of_group, *shared)
+        each = zip((u, e, ok), ended, strict=True)
+        u, e, ok = (old.at[at].set(new) for old, new in each)
+        for c, p in enumerate(earlier):
+            if p in group:
+                after = lanes[c].following(lanes[p], u[p])
+                put = lambda every, one, c=c: every.at[c].set(one)
+                lanes = jax.tree.map(put, lanes, after)
+                guess = guess.at[c].set(u[p]) if at_rest else guess
     delta_e = effector_errors(problem, e)
     no_slopes = jnp.zeros((delta_e.size, z.shape[0]))
     rows = problem.rows(z, delta_e, no_slopes, considered)
@@ -67,13 +94,17 @@ def _errors(problem: Problem, z, guess, considered=None) -> Float[Array, " n"]:
 
 
 def _readings(model, lane, space, newton, z):
-    """Read the effectors of a pose; zero, and False, if it has no equilibrium."""
+    """Solve a pose: displacement, effectors, and whether it has an equilibrium.
+
+    Without one they are zero.
+    """
     configuration, guess, *off = lane
     model, configuration = space.apply(model, configuration, sum(off, z))
     solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
     state = solution.displacement, solution.multipliers
     e = effector_values(model, configuration, *state)
-    return jnp.where(solution.converged, e, 0.0), solution.converged
+    or_zero = lambda a: jnp.where(solution.converged, a, 0.0)
+    return or_zero(solution.displacement), or_zero(e), solution.converged
 
 
 class LogDensity(Module):
@@ -87,6 +118,7 @@ class LogDensity(Module):
         scale: Standard deviation of independent errors over the stated one [-].
         considered: Change of the errors per standard deviation of each considered
             error, in units of the noise [-].
+        earlier: Index of the pose that each follows, None for none.
     """
 
     problem: Problem
@@ -95,6 +127,7 @@ class LogDensity(Module):
     factor: Float[Array, "n_p n_p"]
     scale: Float[Array, ""]
     considered: Float[Array, "n_e k"]
+    earlier: tuple[int | None, ...] = eqx.field(static=True)
 
     def z(self, x: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
         """Compute the scaled parameters of coordinates."""
@@ -107,7 +140,8 @@ class LogDensity(Module):
         A, b = space.rows()
         inside = jnp.all(down <= 0.0) & jnp.all(up >= 0.0) & jnp.all(A @ z <= b)
         at = jnp.where(inside, z, space.start())
-        rows = _errors(self.problem, at, self.guess, self.considered)
+        of_all = self.guess, self.earlier, self.considered
+        rows = _errors(self.problem, at, *of_all)
         n = self.considered.shape[0]
         of_data, of_priors = rows[:n] / self.scale, rows[n:] / self.problem.level
         squares = jnp.sum(of_data**2) + jnp.sum(of_priors**2)
@@ -151,9 +185,19 @@ def log_density(
         considered[weight > 0.0] = W_c / scale
     now = evaluate(problem, z)
     check_converged(now.equilibrium, problem.names)
-    arrays = jax.device_put((factor, np.asarray(scale, float), considered))
-    guess, space = now.equilibrium.displacement, problem.space.in_plain_steps()
-    return LogDensity(replace(problem, space=space).numbered, centre, guess, *arrays)
+    factor, scale, considered = jax.device_put(
+        (factor, np.asarray(scale, float), considered)
+    )
+    problem = replace(problem, space=problem.space.in_plain_steps()).numbered
+    return LogDensity(
+        problem=problem,
+        centre=centre,
+        guess=now.equilibrium.displacement,
+        factor=factor,
+        scale=scale,
+        considered=considered,
+        earlier=_earlier(problem),
+    )
 
 
 def _check(problem: Problem, result: CalibrationResult) -> None:

@@ -1,8 +1,9 @@
 """Equilibria, errors and compliances of a calibration at some parameters."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,12 @@ from softcal_jax._lanes import lane_of, stacked, unstacked
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, numpy_of
 from softcal_jax.calibration._problem import linear_model
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    ConfigurationArrays,
+    earlier_lanes,
+    following_each_other,
+    in_order,
+)
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Known,
@@ -141,8 +147,10 @@ def _known(
     configurations: ConfigurationArrays, solution: EquilibriumSolution
 ) -> list[Known]:
     """Return the equilibria that were found, with their configurations."""
+    u = np.asarray(solution.displacement)
+    each = following_each_other([*configurations], u)
     return [
-        Known(configurations[c], lane_of(solution.displacement, c))
+        Known(each[c], jax.device_put(u[c]))
         for c in np.flatnonzero(np.asarray(solution.converged)).tolist()
     ]
 
@@ -174,6 +182,7 @@ class Evaluator:
         alone = self.numbered.with_noise(None)
         self.shared = eqx.tree_at(where, alone, (None, space))
         self.lanes = list(problem.configurations)
+        self._earlier = earlier_lanes(self.lanes)
         of_all = self.shared.model, space, self.shared.newton
         self._program = Program(equilibrium_response, *of_all)
 
@@ -213,6 +222,7 @@ class Evaluator:
             responses = dict(enumerate(self._near(every, z, guess, before, precise)))
             far = [c for c in every if not responses[c].equilibrium.converged]
         if far:
+            far = self.with_earlier(far)
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
@@ -229,16 +239,49 @@ class Evaluator:
         guess: Float[Array, "n_lanes n_points 3"],
         before: Float[Array, "n_lanes n_points 3"] | None,
         precise: bool | Bool[Array, ""],
+        known: Mapping[int, Response] = MappingProxyType({}),
     ) -> list[Response]:
         both = guess, guess if before is None else before
-        states = zip(*map(unstacked, both), strict=True)
-        each, exact = zip(lanes, states, strict=True), jax.device_put(precise)
+        states = dict(zip(lanes, zip(*map(unstacked, both), strict=True), strict=True))
+        exact, responses = jax.device_put(precise), dict(known)
         off = self.problem.deviations  # of the specimen of each lane
-        arguments = [
-            (z if off is None else z + off[c], self.lanes[c], *state, exact)
-            for c, state in each
-        ]
-        return self.workers.map(self._program, arguments)
+
+        def arguments(c: int) -> tuple:
+            lane, slopes = self._following(c, responses)
+            at = z if off is None else z + off[c]
+            return (at, lane, *states[c], exact, slopes)
+
+        for group in in_order(self._earlier):
+            now = [c for c in group if c in states]
+            of_now = self.workers.map(self._program, map(arguments, now))
+            responses |= zip(now, of_now, strict=True)
+        return [responses[c] for c in lanes]
+
+    def with_earlier(self, lanes: Sequence[int]) -> list[int]:
+        """Add the lanes that these follow."""
+        wanted = {*lanes}
+        for c in lanes:
+            while (p := self._earlier[c]) is not None:
+                wanted.add(c := p)
+        return sorted(wanted)
+
+    def _following(
+        self, c: int, responses: Mapping[int, Response]
+    ) -> tuple[ConfigurationArrays, Float[Array, "n_p n_stages n_points 3"] | None]:
+        """Return a lane after the one it follows, and how its stages change with z."""
+        lane, p = self.lanes[c], self._earlier[c]
+        if len(lane.is_stage) == 0:
+            return lane, None
+        if p is None:
+            n_p = len(self.problem.space.names)
+            return lane, jax.device_put(np.zeros((n_p, *lane.stages.shape)))
+        (before, slopes), response = self._following(p, responses), responses[p]
+        assert slopes is not None
+        assert response.displacement is not None
+        new = slopes, np.asarray(response.displacement)[:, None]
+        slopes = np.concatenate([*map(np.asarray, new)], axis=1)[:, 1:]
+        lane = lane.following(before, np.asarray(response.equilibrium.displacement))
+        return jax.device_put((lane, slopes))
 
     def closed(
         self,
@@ -246,14 +289,17 @@ class Evaluator:
         z: Float[Array, " n_p"],
         solution: EquilibriumSolution,
         precise: bool | Bool[Array, ""] = False,
+        known: Mapping[int, Response] = MappingProxyType({}),
     ) -> list[Response]:
         """Add the compliances to equilibria that were solved.
+
+        `known` are the responses of other lanes, which these may follow.
 
         They need a factor of the tangent; one more step with it takes the error from
         `rtol` to rounding, so that a fit compares costs of equally exact equilibria.
         """
         responses = []
-        steps = self._near(lanes, z, solution.displacement, None, precise)
+        steps = self._near(lanes, z, solution.displacement, None, precise, known)
         for k, step in enumerate(steps):
             solved = lane_of(solution, k)
             counts = {name: getattr(solved, name) for name in ("steps", "load_steps")}
@@ -287,7 +333,7 @@ class Evaluator:
         if most is not None:
             newton = replace(newton, max_steps=min(most, int(newton.max_steps)))
         if known is not None:
-            more["known"] = _known(configurations, known)
+            more["known"] = _known(configurations[: len(known.steps)], known)
         if lanes is not None:
             configurations = lane_of(configurations, np.asarray(lanes))
         run = self.workers, model, configurations, newton
@@ -332,6 +378,8 @@ class Evaluator:
         without forces, are left out.
         """
         model, configurations = self.posed(z)
+        u = np.asarray(solution.displacement)
+        configurations = stacked(following_each_other([*configurations], u))
         acts = np.any(np.asarray(configurations.actuation.forces) != 0.0, axis=1)
         others = lambda c: (c.key, c.effectors.measured, c.effectors.inverse_std)
         alike: dict[str, list[int]] = {}

@@ -109,7 +109,10 @@ class _AllLanes(NamedTuple):
         new = [c for c in new if self.solved[c].converged]
         if new:
             solutions = stacked([self.solved[c] for c in new])
-            responses = self.evaluate.closed(new, self.z, solutions)
+            before, n = self.evaluate.with_earlier(new), len(self.fitted.ok)
+            known = {c: lane_of(self.fitted, c) for c in before if c < n}
+            known |= self.closed
+            responses = self.evaluate.closed(new, self.z, solutions, known=known)
             self.closed.update(zip(new, responses, strict=True))
 
     def response(self) -> Response:

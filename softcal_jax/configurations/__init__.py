@@ -4,6 +4,9 @@ from softcal_jax.configurations._arrays import (
     ConfigurationArrays as ConfigurationArrays,
     EffectorArrays as EffectorArrays,
     Observed as Observed,
+    earlier_lanes as earlier_lanes,
+    following_each_other as following_each_other,
+    in_order as in_order,
 )
 from softcal_jax.configurations._boundary import (
     LOADS as LOADS,

@@ -1,7 +1,7 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
 import equinox as eqx
@@ -201,6 +201,9 @@ class DeadLoads(Module):
         return xp.where(exists, along, 0.0)
 
 
+_SETTLED = np.array([1, 1, 0])  # on the key of a lane that follows an equilibrium
+
+
 class ConfigurationArrays(Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
@@ -208,15 +211,20 @@ class ConfigurationArrays(Module):
     nodes are those of the mesh, then those of the frames of the rigid bodies.
 
     Attributes:
-        key: `name_key` of the configuration and of its recording: arrays hold no text.
+        key: `name_key` of the configuration, of its recording, and of the configuration
+            `after` which it comes, 0 for none: arrays hold no text.
         fixed: Which coordinates are held.
         imposed: Their displacement, at full load [m].
         gravity: Acceleration of gravity as stated [m/s2].
         tilt: Angles by which its direction is off, about two axes perpendicular to it
             [rad]; 0 unless they are parameters. See `acceleration`.
+        stages: Displacements at the equilibria before this one, in order, that friction
+            remembers [m]; nan until `following` says them. As many as the longest of
+            the batch has.
+        is_stage: Which of them there are.
     """
 
-    key: Int[AnyArray, "*batch 2"]
+    key: Int[AnyArray, "*batch 3"]
     fixed: Bool[AnyArray, "*batch n_points 3"]
     imposed: Float[AnyArray, "*batch n_points 3"]
     springs: Springs
@@ -226,6 +234,8 @@ class ConfigurationArrays(Module):
     bodies: BodyStateArrays
     actuation: ActuationArrays
     effectors: EffectorArrays
+    stages: Float[AnyArray, "*batch n_stages n_points 3"]
+    is_stage: Bool[AnyArray, "*batch n_stages"]
 
     @property
     def is_batch(self) -> bool:
@@ -267,6 +277,27 @@ class ConfigurationArrays(Module):
         value = np.where(acting.by_displacement, acting.value, 0.0)
         return eqx.tree_at(lambda c: c.actuation.value, self, value)
 
+    def following(
+        self, earlier: "ConfigurationArrays", displacement: Float[AnyArray, "n 3"]
+    ) -> "ConfigurationArrays":
+        """Return it as it comes `after` another lane, from its equilibrium [m].
+
+        Friction remembers that, and what that had come after. Obstacles start where
+        they did there.
+        """
+        key = numpy_of(self.key).asarray(self.key) * _SETTLED
+        if np.shape(self.is_stage)[-1] == 0:  # nothing remembers
+            return eqx.tree_at(lambda c: c.key, self, key)
+        xp = numpy_of(displacement, earlier.stages)
+        join = lambda old, new: xp.concatenate([xp.asarray(old)[1:], new[None]])
+        stages = join(earlier.stages, xp.asarray(displacement))
+        is_stage = join(earlier.is_stage, xp.ones((), bool))
+        starts = lambda c: (c.bodies.start_translation, c.bodies.start_rotation)
+        new = *starts(earlier), stages, is_stage, key
+        return eqx.tree_at(
+            lambda c: (*starts(c), c.stages, c.is_stage, c.key), self, new
+        )
+
     @property
     def acceleration(self) -> Float[Array, "3"]:
         """Gravity after its tilt [m/s2].
@@ -296,3 +327,47 @@ class ConfigurationArrays(Module):
         shares, offset = map(jnp.asarray, (loads.shares, loads.offset))
         of_each = jnp.asarray(loads.factor)[:, None, None] * jnp.asarray(loads.force)
         return jnp.sum(of_each + shares[:, :, None] * offset[:, None], axis=0)
+
+
+def earlier_lanes(lanes: Sequence[ConfigurationArrays]) -> list[int | None]:
+    """Return the index of the lane that each is to follow, None for none.
+
+    Raises:
+        ValueError: If it is not among them.
+    """
+    own, after = (np.array([lane.key[k] for lane in lanes]) for k in (0, 2))
+    earlier: list[int | None] = [None] * len(lanes)
+    for c in np.flatnonzero(after).tolist():
+        found = np.flatnonzero(own == after[c])
+        if not found.size:
+            raise ValueError(
+                f"configuration {c} comes after one that is not among the {len(lanes)} "
+                "that are solved: solve that too, or give this one its equilibrium by "
+                "lane.following(earlier_lane, solution.displacement)."
+            )
+        earlier[c] = int(found[0])
+    return earlier
+
+
+def in_order(earlier: Sequence[int | None]) -> list[list[int]]:
+    """Sort lanes into groups, of which each follows lanes of those before alone."""
+    depth: list[int] = []
+    for c in range(len(earlier)):
+        d, p = 0, earlier[c]
+        while p is not None:
+            d, p = d + 1, earlier[p]
+        depth.append(d)
+    groups = range(max(depth, default=-1) + 1)
+    return [[c for c, d in enumerate(depth) if d == g] for g in groups]
+
+
+def following_each_other(
+    lanes: Sequence[ConfigurationArrays], displacement: Float[AnyArray, "n n_points 3"]
+) -> list[ConfigurationArrays]:
+    """Return lanes as each follows the equilibrium of its earlier one [m]."""
+    earlier, done = earlier_lanes(lanes), dict[int, ConfigurationArrays]()
+    for c in [c for group in in_order(earlier) for c in group]:
+        p, done[c] = earlier[c], lanes[c]
+        if p is not None:
+            done[c] = lanes[c].following(done[p], displacement[p])
+    return [done[c] for c in range(len(lanes))]

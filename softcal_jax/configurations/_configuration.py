@@ -11,7 +11,13 @@ import numpy as np
 
 from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
-from softcal_jax._text import UNNAMED_LOADS, check_unique, listed, name_key
+from softcal_jax._text import (
+    UNNAMED_LOADS,
+    check_known,
+    check_unique,
+    listed,
+    name_key,
+)
 from softcal_jax._typing import Float, HostArray, Int, is_traced
 from softcal_jax._units import readable_values
 from softcal_jax.bodies import KINDS, BodyStateArrays, optional, three_numbers
@@ -87,6 +93,10 @@ class Configuration(Module):
             positions and orientations: the robot at rest under gravity, say. Where a
             marker is glued then does not matter, nor how a sensor is mounted if that
             is known to some degrees. Lengths, angles and forces count as they are.
+        after: Name of a configuration from whose equilibrium this one begins, like
+            "pressed" for one that is pressed, then pushed. Friction remembers it, and
+            what that came after; obstacles start where they did there. By default it
+            begins at rest.
     """
 
     name: str
@@ -103,6 +113,7 @@ class Configuration(Module):
     recording: str | None = None
     relative_std: float | Literal["estimated"] = 0.0
     displacement_from: str | None = None
+    after: str | None = None
 
     @property
     def is_measured(self) -> bool:
@@ -227,6 +238,7 @@ def configuration_lanes(
     mechanism.check_on(mesh)
     names = [c.name for c in configurations]
     check_unique("configuration", names)
+    n_stages = _n_stages(configurations) * any(mechanism.contacts.sticks)
     supports = [support for c in configurations for support in c.supports]
     elastic = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
     # Those of all supports in every lane, so that lanes have one shape.
@@ -236,7 +248,7 @@ def configuration_lanes(
     rows = [c.rows(mesh, mechanism) for c in configurations]
     effectors, records = zip(*stack_effectors(rows, mechanism.points), strict=True)
     lanes = [
-        _lane(mesh, mechanism, c, of_c, springs=springs, loads=loads)
+        _lane(mesh, mechanism, c, of_c, springs=springs, loads=loads, stages=n_stages)
         for c, of_c in zip(configurations, effectors, strict=True)
     ]
     return ConfigurationLanes(stacked(lanes), records)
@@ -250,6 +262,7 @@ def _lane(
     *,
     springs: Springs,
     loads: tuple[str, ...],
+    stages: int,
 ) -> ConfigurationArrays:
     # Nodes of the bodies' frames come after those of the mesh.
     n_nodes, n_points = mesh.n_nodes, len(mechanism.points)
@@ -275,9 +288,11 @@ def _lane(
         kind[k] = KINDS.index("held" if by_angle else "hinged")
     balanced = bool(np.any(c.gravity) or c.loads or {*c.actuation} - {*motors})
     check_held(mesh, mechanism, held, kind, name=c.name, balanced=balanced)
-    _check_outside(mechanism, bodies, c.name)
+    if c.after is None:  # else it starts where that one does
+        _check_outside(mechanism, bodies, c.name)
+    of_keys = c.name, c.recording or c.name, c.after
     return ConfigurationArrays(
-        key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
+        key=np.array([name_key(n) if n else 0 for n in of_keys], np.int64),
         fixed=fixed,
         imposed=imposed,
         springs=_stiffened(springs, mesh, c, rest),
@@ -287,7 +302,31 @@ def _lane(
         bodies=bodies,
         actuation=actuation,
         effectors=effectors,
+        stages=np.full((stages, n_points, 3), np.nan if c.after else 0.0),
+        is_stage=np.zeros(stages, bool),
     )
+
+
+def _n_stages(configurations: Sequence[Configuration]) -> int:
+    """Return how many equilibria lie before any of the configurations.
+
+    Raises:
+        ValueError: If one comes after an unknown one, or after itself.
+    """
+    after, most = {c.name: c.after for c in configurations}, 0
+    for name in after:
+        passed, earlier = [name], after[name]
+        while earlier is not None:
+            check_known(f"`after` of configuration {passed[-1]!r}", after, earlier)
+            if earlier in passed:
+                raise ValueError(
+                    f"configuration {earlier!r} comes after itself: "
+                    f"{' after '.join(map(repr, [*passed, earlier]))}."
+                )
+            passed.append(earlier)
+            earlier = after[earlier]
+        most = max(most, len(passed) - 1)
+    return most
 
 
 def _check_outside(

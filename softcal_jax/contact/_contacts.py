@@ -21,8 +21,11 @@ So a point sticks, up to a slip of 2 c mu s with c = `STICK`, and slides where t
 not hold it (the smooth step of Li and others, ACM Trans. Graph. 39, 2020, over the slip
 in place of its rate). Shear has no potential, so that a model with friction is not
 `conservative`. Slip is counted once for the whole load, along a straight way in the
-frame of the obstacle, and its shear by the pressure at the end: what slides and then
-sticks, slides back, or on an obstacle that turns far is not followed.
+frame of the obstacle, and its shear by the pressure at the end. A configuration that
+begins where another ends keeps what that left: a point in touch counts its slip from
+where it stuck last, so that its shear is that of before (the return mapping of
+Wriggers, ch. 10, with one step from an equilibrium to the next). What slides back or
+turns far between two equilibria is not followed.
 """
 
 from collections.abc import Callable, Sequence
@@ -76,10 +79,13 @@ class Standing(NamedTuple):
     Attributes:
         present: Which obstacles are there.
         start: Nodes of the frame of each before the load [m].
+        stages: Positions of all nodes at earlier equilibria, in order [m], and whether
+            each of them was there.
     """
 
     present: Bool[Array, " n_obstacles"]
     start: Float[Array, "n_obstacles 4 3"]
+    stages: tuple[tuple[Float[Array, "n_points 3"], Bool[Array, ""]], ...] = ()
 
 
 class ContactState(Module):
@@ -106,8 +112,8 @@ class ContactState(Module):
     pressure: Float[Array | HostArray, " n_faces"]
 
 
-def _pressure_of(tamed: bool | Bool[Array, ""]) -> Callable[[Array, Array], Array]:
-    return partial(tamed_pressure, jnp.where(tamed, 1.0, jnp.inf))
+def _pressure_of(tamed: int | Int[Array, ""]) -> Callable[[Array, Array], Array]:
+    return partial(tamed_pressure, jnp.where(jnp.asarray(tamed) > 0, 1.0, jnp.inf))
 
 
 class _Touch(NamedTuple):
@@ -215,42 +221,76 @@ class Contacts(Module):
     def _gaps(self, k: int, z: Float[Array, "m 3"]) -> Float[Array, " n_qp"]:
         return jax.vmap(self.shapes[k].distance)(self._local(z))
 
-    def _touch(self, k: int, pressure, y, start) -> _Touch:
+    def _touch(self, k: int, tamed, y, start) -> _Touch:
         """Compute how a point at `y` touches the obstacle `k`; it came from `start`."""
-        s, shape = self.scale, self.shapes[k]
-        gap, normal = jax.value_and_grad(shape.distance)(y)
-        depth = 0.5 * s - gap
-        p = pressure(depth, s)
+        depth, normal = self._depth(k, y)
+        p = _pressure_of(tamed)(depth, self.scale)
         if not self.sticks[k]:
             return _Touch(depth, jnp.zeros(()), -p * normal, jnp.zeros(3))
-        # How far it was outside of the cushion at the start, and how far it is inside.
-        outside = jnp.maximum(shape.distance(start) - 0.5 * s, 0.0)
-        inside = jnp.maximum(depth, 1e-9 * s)
-        way = inside / (outside + inside) * (y - start)
-        way = way - normal * jnp.sum(normal * way)
-        slip, mu, stick = vector_length(way), jnp.asarray(self.friction)[k], STICK * s
-        reach, least = mu * stick, 1e-12 * stick  # finite where mu and the slip are 0
-        x = slip / jnp.maximum(reach, least)
+        way = self._way(k, y, start, depth, normal)
+        mu, stick = jnp.asarray(self.friction)[k], STICK * self.scale
+        slip, reach, least = vector_length(way), mu * stick, 1e-12 * stick
+        x = slip / jnp.maximum(reach, least)  # finite where mu and the slip are 0
         sticks = slip < 2.0 * reach
         held = 1.0 - 0.25 * slip / jnp.where(sticks, reach, stick)
         shear = jnp.where(sticks, held / stick, mu / jnp.maximum(slip, least))
+        secant = jnp.asarray(tamed) > 1
+        shear = jnp.where(secant, jax.lax.stop_gradient(shear), shear)
         return _Touch(depth, x, -p * normal, p * shear * way)
+
+    def _depth(self, k: int, y) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+        """Return how far a point has come into the cushion [m], and the normal."""
+        gap, normal = jax.value_and_grad(self.shapes[k].distance)(y)
+        return 0.5 * self.scale - gap, normal
+
+    def _way(self, k: int, y, start, depth, normal) -> Float[Array, "3"]:
+        """Return the way of a point along the surface since it came in touch [m]."""
+        outside = jnp.maximum(-self._depth(k, start)[0], 0.0)
+        inside = jnp.maximum(depth, 1e-9 * self.scale)
+        way = inside / (outside + inside) * (y - start)
+        return way - normal * jnp.sum(normal * way)
+
+    def _left_at(self, k: int, y, start) -> Float[Array, "3"]:
+        """Return from where the slip of a point counts after an equilibrium [m].
+
+        That is where it is unless it touches; then it is where it stuck last, which a
+        point that slides draws along behind it.
+        """
+        depth, normal = self._depth(k, y)
+        way = self._way(k, y, start, depth, normal)
+        reach = 2.0 * jnp.asarray(self.friction)[k] * STICK * self.scale
+        slip = jnp.maximum(vector_length(way), 1e-12 * self.scale)
+        stuck = y - jnp.minimum(reach / slip, 1.0) * way
+        before, _ = self._depth(k, stuck)
+        stuck = stuck - normal * jnp.maximum(-before, 0.0)  # on a curved obstacle
+        return jnp.where(depth > 0.0, stuck, y)
+
+    def _starts(self, k: int, standing: Standing) -> Float[Array, "n_faces n_qp 3"]:
+        """Return from where slip counts, of all points in an obstacle's frame [m]."""
+        if not self.sticks[k]:  # slip does not matter
+            return jnp.zeros((len(self.faces), len(self.shape_functions), 3))
+        of_faces = jax.vmap(self._local)
+        start = of_faces(self._nodes(k, jnp.asarray(self.rest), standing.start[k]))
+        left_at = jax.vmap(jax.vmap(partial(self._left_at, k)))
+        for x, is_stage in standing.stages:
+            y = of_faces(self._nodes(k, x, x[self.frames[k]]))
+            start = jnp.where(is_stage, left_at(y, start), start)
+        return start
 
     def _face(
         self,
         k: int,
         z: Float[Array, "m 3"],
         area: Float[Array, " n_qp"],
-        start: Float[Array, "m 3"],
-        pressure: Callable[[Array, Array], Array] = cushion_pressure,
+        start: Float[Array, "n_qp 3"],
+        tamed: int | Int[Array, ""] = 0,
     ) -> tuple[Float[Array, "m 3"], Float[Array, "m 3"], _Touch]:
         """Compute the force of a face on the obstacle `k` at the nodes `z` [N].
 
-        With the friction in it; `start` are their positions before the load.
+        With the friction in it; slip counts from `start`, in the obstacle's frame.
         """
         y, on_nodes = jax.vjp(self._local, z)
-        touch = jax.vmap(partial(self._touch, k, pressure))
-        touches = touch(y, self._local(start))
+        touches = jax.vmap(partial(self._touch, k, tamed))(y, start)
         weight = self.stiffness * area[:, None]
         (force,) = on_nodes(weight * touches.push)
         if not self.sticks[k]:
@@ -258,16 +298,16 @@ class Contacts(Module):
         (friction,) = on_nodes(weight * touches.shear)
         return force + friction, friction, touches
 
-    def _positions(self, k: int, x, standing: Standing):
-        """Return the positions, areas and starts of all faces with an obstacle [m]."""
+    def _nodes(self, k: int, x, frame) -> Float[Array, "n_faces m 3"]:
+        """Return the positions of nodes: of each face, and the obstacle's frame [m]."""
         faces = jnp.asarray(self.faces)
-        spread = lambda frame: jnp.broadcast_to(frame, (len(faces), 4, 3))
-        both = lambda nodes, frame: jnp.concatenate(
-            [nodes[faces], spread(frame)], axis=1
-        )
-        rest = jnp.asarray(self.rest)
+        frames = jnp.broadcast_to(frame, (len(faces), 4, 3))
+        return jnp.concatenate([x[faces], frames], axis=1)
+
+    def _positions(self, k: int, x, standing: Standing):
+        """Return the positions and areas of all faces with an obstacle [m]."""
         area = jnp.where(standing.present[k], jnp.asarray(self.areas)[k], 0.0)
-        return both(x, x[self.frames[k]]), area, both(rest, standing.start[k])
+        return self._nodes(k, x, x[self.frames[k]]), area
 
     def energy_and_force(
         self, x: Float[Array, "n_points 3"], standing: Standing
@@ -283,7 +323,8 @@ class Contacts(Module):
             energy, force = self.touching.energy_and_force(x, *by)
         friction = jnp.zeros_like(x) if any(self.sticks) else None
         for k in range(self.n_obstacles):
-            z, area, start = self._positions(k, x, standing)
+            z, area = self._positions(k, x, standing)
+            start = self._starts(k, standing)
             parts, along, touches = jax.vmap(partial(self._face, k))(z, area, start)
             stored = jnp.sum(area * cushion(touches.depth, self.scale))
             energy = energy + self.stiffness * stored
@@ -302,18 +343,18 @@ class Contacts(Module):
         x: Float[Array, "n_points 3"],
         standing: Standing,
         *,
-        tamed: bool | Bool[Array, ""] = False,
+        tamed: int | Int[Array, ""] = 0,
     ) -> tuple[Float[Array, "n_faces _ _"], ...]:
         """Differentiate the forces on obstacles by the nodes of each clique [N/m].
 
         It is exact unless `tamed`: then curvature counts as if no pressure were above
         E. Newton's method comes across such pressures while an obstacle moves in, and
-        with them the tangent would be far from positive definite.
+        with them the tangent would be far from positive definite. If it is 2, friction
+        counts by its secant: the slope is zero where all of it slides, and would not
+        foresee that it sticks when it turns back.
         """
-        pressure = _pressure_of(tamed)
         return tuple(
-            self._stiffness_of(k, x, standing, pressure)
-            for k in range(self.n_obstacles)
+            self._stiffness_of(k, x, standing, tamed) for k in range(self.n_obstacles)
         )
 
     def add_touching(
@@ -322,7 +363,7 @@ class Contacts(Module):
         values: Float[Array, " nnz"],
         add: Callable[[Array, Array, Array], Array],
         *,
-        tamed: bool | Bool[Array, ""] = False,
+        tamed: int | Int[Array, ""] = 0,
     ) -> Float[Array, " nnz"]:
         """Add to values what `tangents` are to obstacles, of surfaces that touch [N/m].
 
@@ -333,14 +374,14 @@ class Contacts(Module):
         of_contact = self.scale, self.stiffness, _pressure_of(tamed)
         return self.touching.add_tangents(x, *of_contact, values, add)
 
-    def _stiffness_of(self, k: int, x, standing: Standing, pressure):
-        z, area, start = self._positions(k, x, standing)
+    def _stiffness_of(self, k: int, x, standing: Standing, tamed):
+        (z, area), start = self._positions(k, x, standing), self._starts(k, standing)
         m, n_blocks = z.shape[1], len(z) // BLOCK
         gap = jax.vmap(lambda z: self._gaps(k, z))(z)
         near = jnp.any((gap < 0.5 * self.scale) & (area > 0.0), axis=1)
 
         def of_face(z, area, start):
-            force = lambda z: self._face(k, z, area, start, pressure)[0]
+            force = lambda z: self._face(k, z, area, start, tamed)[0]
             return jax.jacfwd(force)(z).reshape(3 * m, 3 * m)
 
         def of_block(block):
@@ -367,8 +408,8 @@ class Contacts(Module):
         if self.touching is not None:
             through = self.touching.passes_through(before, after)
         for k in range(self.n_obstacles):
-            z, area, _ = self._positions(k, before, standing)
-            to, *_ = self._positions(k, after, standing)
+            z, area = self._positions(k, before, standing)
+            to, _ = self._positions(k, after, standing)
             lowest = jax.vmap(partial(self._lowest_gaps, k))(z, to)
             too_deep = lowest < -jnp.asarray(self.depth)[k]
             through = through | jnp.any(too_deep & (area > 0.0))
@@ -388,7 +429,8 @@ class Contacts(Module):
         """Compute what each obstacle, and each surface, feels at positions x [m]."""
         states = []
         for k in range(self.n_obstacles):
-            z, area, start = self._positions(k, x, standing)
+            z, area = self._positions(k, x, standing)
+            start = self._starts(k, standing)
             forces, _, touches = jax.vmap(partial(self._face, k))(z, area, start)
             on_frame = -jnp.sum(forces[:, -4:], axis=0)
             arms = x[self.frames[k]] - x[self.frames[k][0]][None]
@@ -425,7 +467,7 @@ class Contacts(Module):
         x, depths = jnp.asarray(self.rest), jnp.zeros(self.n_obstacles)
         for k, frame in enumerate(self.frames):
             x = x.at[frame].set(standing.start[k])
-            z, area, _ = self._positions(k, x, standing)
+            z, area = self._positions(k, x, standing)
             gap = jax.vmap(partial(self._gaps, k))(z)
             depths = depths.at[k].set(jnp.max(jnp.where(area > 0.0, -gap, 0.0)))
         if self.touching is None:

@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Nodal
@@ -243,7 +243,7 @@ def nodal_tangent(
     lambda_a: Float[Array, " n_a"],
     mesh: Float[Array, " nnz"],
     *,
-    tamed: bool | Bool[Array, ""] = False,
+    tamed: int | Int[Array, ""] = 0,
 ) -> Float[Array, " nnz"]:
     """Add actuators, springs and contact to the tangent of the mesh [N/m]."""
     model, nodal = posed.model, posed.spring_tangent(mesh)
@@ -286,7 +286,7 @@ def assemble(
     *,
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
-    tamed: bool | Bool[Array, ""] = False,
+    tamed: int | Int[Array, ""] = 0,
 ) -> Tangent:
     """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 

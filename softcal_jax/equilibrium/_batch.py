@@ -13,7 +13,12 @@ import numpy as np
 from softcal_jax._lanes import stacked, unstacked
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable_values
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    ConfigurationArrays,
+    earlier_lanes,
+    following_each_other,
+    in_order,
+)
 from softcal_jax.equilibrium._assembly import tet_states
 from softcal_jax.equilibrium._continuation import (
     Known,
@@ -111,7 +116,8 @@ def equilibria(
     one that is `known`, or rest; straight, or by `detours`. If that fails there are
     load steps from rest and, with `arc_length`, `trace_equilibria`. With rigid bodies
     each begins at the nearest equilibrium, because poses of a robot lie near each other
-    and far from its state before mounting.
+    and far from its state before mounting. One that comes `after` another, which may be
+    `known`, follows it.
 
     `report` is called after every few iterations of a configuration, from its thread;
     `ended` with the index and solution of each that has ended.
@@ -132,9 +138,15 @@ def equilibria(
             end(c, new[1])
 
     if guess is not None:
-        workers.side_by_side(
-            (partial(lanes.solve, c, u) for c, u in enumerate(unstacked(guess))), end
-        )
+        guesses, earlier = unstacked(guess), earlier_lanes(lanes.each)
+        for group in in_order(earlier):
+            for c in group:
+                if (p := earlier[c]) is not None:
+                    lanes.follow(c, Known(lanes.each[p], solutions[p].displacement))
+            workers.side_by_side(
+                (partial(lanes.solve, c, guesses[c]) for c in group),
+                lambda k, solution, group=group: end(group[k], solution),
+            )
     elif model.mechanism.bodies.n_bodies == 0:
         workers.side_by_side((partial(lanes.begin, c) for c in range(len(each))), tried)
         known += [Known(each[c], solutions[c].displacement) for c in solutions]
@@ -155,12 +167,28 @@ def _from_nearest(
     """Solve the lanes of `begun` from the nearest equilibrium.
 
     Those go side by side that have no other to wait for: one that is nearer to what is
-    known, and nearer to them than that. So the order does not depend on the cores.
+    known, and nearer to them than that. So the order does not depend on the cores. At
+    last come those that follow others, from the equilibria of these.
     """
     states, lane_at = dict(enumerate(known)), dict(enumerate(begun, len(known)))
-    of_known = [state.configuration for state in known]
-    apart = distances([*of_known, *(lanes.each[c] for c in lane_at.values())])
-    while waiting := [*lane_at]:
+    every = [state.configuration for state in known]
+    every += [lanes.each[c] for c in lane_at.values()]
+    apart, earlier = distances(every), earlier_lanes(every)
+    failed: dict[int, EquilibriumSolution] = {}
+
+    def run(calls: dict[int, Callable[[], EquilibriumSolution]]) -> None:
+        solutions = lanes.workers.side_by_side(calls.values())
+        for row, solution in zip(calls, solutions, strict=True):
+            c = lane_at.pop(row)
+            if arc_length and earlier[row] is None and not solution.converged:
+                solution = lanes.along_path(c, solution)
+            if solution.converged:
+                states[row] = Known(lanes.each[c], solution.displacement)
+            else:
+                failed[row] = solution
+            end(c, solution)
+
+    while waiting := [row for row in lane_at if earlier[row] is None]:
         to_known = apart[np.ix_([*states], waiting)]
         nearest = np.min(to_known, axis=0, initial=np.inf)
         beside = apart[np.ix_(waiting, waiting)]
@@ -173,14 +201,13 @@ def _from_nearest(
         if not calls:  # none holds and imposes the same: the last one is a guess
             last = [*states.values()][-1].displacement if states else None
             calls[waiting[0]] = partial(lanes.solve, lane_at[waiting[0]], last)
-        solutions = lanes.workers.side_by_side(calls.values())
-        for row, solution in zip(calls, solutions, strict=True):
-            c = lane_at.pop(row)
-            if arc_length and not solution.converged:
-                solution = lanes.along_path(c, solution)
-            if solution.converged:
-                states[row] = Known(lanes.each[c], solution.displacement)
-            end(c, solution)
+        run(calls)
+    while lane_at:
+        ends, each = (
+            failed | states,
+            [(row, c, earlier[row]) for row, c in lane_at.items()],
+        )
+        run({row: lanes.after(c, ends[p]) for row, c, p in each if p in ends})
 
 
 class _Lanes:
@@ -214,6 +241,19 @@ class _Lanes:
             )
             for settings in (settings, at_once)
         )
+
+    def follow(self, c: int, before: Known) -> None:
+        """Let a lane come after an equilibrium."""
+        self.each[c] = jax.device_put(self.each[c].following(*before))
+
+    def after(
+        self, c: int, before: Known | EquilibriumSolution
+    ) -> Callable[[], EquilibriumSolution]:
+        """Return what solves a lane after an equilibrium, or fails as that did."""
+        if not isinstance(before, Known):
+            return lambda: before
+        self.follow(c, before)
+        return partial(self.from_known, c, before, None)
 
     def begin(self, c: int) -> tuple[LoadState, EquilibriumSolution]:
         """Take the full load from rest in one step."""
@@ -331,6 +371,7 @@ def effectors_on_all_cores(
     solution: EquilibriumSolution,
 ) -> Float[Array, "n_c n_rows 3"]:
     """Compute the effector coordinates of a batch, on all cores."""
-    states = solution.displacement, solution.multipliers
-    lanes = zip(configurations, *map(np.asarray, states), strict=True)
+    states = [*map(np.asarray, (solution.displacement, solution.multipliers))]
+    configurations = following_each_other([*configurations], states[0])
+    lanes = zip(configurations, *states, strict=True)
     return stacked(workers.map(Program(compiled_effectors, model), lanes))

@@ -88,8 +88,9 @@ def distances(configurations: Sequence[ConfigurationArrays]) -> Float[HostArray,
     infinite where other coordinates are held, or actuators are imposed otherwise.
     """
     squares = np.zeros((len(configurations),) * 2)
-    without_key = lambda c: jax.tree.leaves(eqx.tree_at(lambda c: c.key, c, None))
-    for leaf in zip(*map(without_key, configurations), strict=True):
+    others = lambda c: (c.key, *_memory(c))
+    acting = lambda c: jax.tree.leaves(eqx.tree_at(others, c, (None,) * 3))
+    for leaf in zip(*map(acting, configurations), strict=True):
         rows = np.stack([np.ravel(values) for values in leaf])
         rows = rows[:, np.any(rows != rows[0], axis=0)]
         if rows.size == 0:
@@ -162,9 +163,10 @@ def detours(
     start, end = (np.asarray(c.actuation.value) for c in (a, b))
     order = np.cumsum(start != end)
     inputs = [np.where(order <= k, end, start) for k in range(1, order.max(initial=0))]
+    own = lambda c: (c.key, *_memory(c), *loads(c))
     turns = [
         [eqx.tree_at(lambda c: c.actuation.value, b, value) for value in inputs],
-        [eqx.tree_at(lambda c: (c.key, *loads(c)), a, (b.key, *loads(b)))],
+        [eqx.tree_at(own, a, own(b))],
         [eqx.tree_at(loads, b, loads(a))],
     ]
     differ = lambda turn: np.all(distances([a, b, turn])[2, :2] > 0.0)
@@ -174,13 +176,21 @@ def detours(
 def _between(
     a: ConfigurationArrays, b: ConfigurationArrays, share: float
 ) -> ConfigurationArrays:
-    """Return a configuration between two that hold and impose the same."""
+    """Return a configuration between two that hold and impose the same.
+
+    Friction remembers on the way what it does at its end.
+    """
 
     def blend(a: Array | HostArray, b: Array | HostArray) -> HostArray:
         a, b = np.asarray(a), np.asarray(b)  # on the device, each shape is compiled
         return a + share * (b - a) if np.issubdtype(b.dtype, np.floating) else b
 
-    return jax.device_put(jax.tree.map(blend, a, b))
+    between = eqx.tree_at(_memory, jax.tree.map(blend, a, b), _memory(b))
+    return jax.device_put(between)
+
+
+def _memory(c: ConfigurationArrays):
+    return c.stages, c.is_stage
 
 
 FORESEEN = 0.25

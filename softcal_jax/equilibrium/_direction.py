@@ -79,7 +79,7 @@ def newton_direction(
     exact: bool | Bool[Array, ""],
     placed: bool = False,
     near: Bool[Array, ""] | None = None,
-    tamed: bool | Bool[Array, ""] = False,
+    tamed: int | Int[Array, ""] = 0,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 

@@ -212,7 +212,7 @@ def newton_iteration(
         s.lambda_a,
         strains=s.strains,
         exact=exact,
-        tamed=s.residual.size > NEAR,
+        tamed=jnp.where(s.step == 0, 2, (s.residual.size > NEAR).astype(jnp.int32)),
     )
     factor = direction.factor
     downhill = jnp.ones((), bool)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, is_traced
 from softcal_jax.bodies import (
     KINDS,
     BodyStateArrays,
@@ -220,7 +220,10 @@ class Posed(NamedTuple):
         """How the obstacles stand."""
         if self.states is None:
             return Standing(jnp.zeros(0, bool), jnp.zeros((0, 4, 3)))
-        return self.model.mechanism.standing(self.states)
+        earlier = map(self.model.positions, jnp.asarray(self.configuration.stages))
+        stages = zip(earlier, jnp.asarray(self.configuration.is_stage), strict=True)
+        standing = self.model.mechanism.standing(self.states)
+        return standing._replace(stages=tuple(stages))
 
     def contact(self, u: Nodal) -> tuple[Float[Array, ""], Nodal, Nodal | None]:
         """Compute energy and forces of contact on the nodes, and friction [J, N].
@@ -480,6 +483,12 @@ def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
             "lanes(model, poses)."
         )
     check_lane(model, configuration)
+    if not is_traced(configuration.key) and np.asarray(configuration.key)[-1]:
+        raise ValueError(
+            "the configuration comes after another one, whose equilibrium is not "
+            "known here: solve that first, and give this one by "
+            "lane.following(earlier_lane, solution.displacement)."
+        )
     if not model.moved:
         return configuration
     return refuse_if(configuration, configuration.is_spread, _SPREAD)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.bodies import KINDS, rotation_vector
@@ -20,6 +21,7 @@ from softcal_jax.configurations import (
     Observed,
     SupportReaction,
     configuration_arrays,
+    following_each_other,
 )
 from softcal_jax.contact import ContactState
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
@@ -288,12 +290,10 @@ def robot_states(
     if arrays is None:
         arrays = configuration_arrays(model.mesh, configurations, model.mechanism)
     states: list[RobotState | None] = [None] * len(configurations)
+    lanes = following_each_other([*arrays], np.asarray(solution.displacement))
     for i, configuration in enumerate(configurations):
         if bool(solution.converged[i]):
-            # Sliced on the host: on the device, each shape compiles a program.
-            of_lane = lambda leaf, i=i: np.asarray(leaf)[i]
-            lane, solved = jax.device_put(jax.tree.map(of_lane, (arrays, solution)))
-            states[i] = _state(model, configuration, lane, solved)
+            states[i] = _state(model, configuration, lanes[i], lane_of(solution, i))
     return tuple(states)
 
 

@@ -29,7 +29,7 @@ from softcal_jax.calibration import (
     number_of_starts,
     run_start,
 )
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import Configuration, earlier_lanes
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
 from softcal_jax.fields import (
     ControlPoints,
@@ -82,10 +82,11 @@ def _fold_problem(problem: Problem, fitted: Bool[HostArray, " n_c"]) -> Problem:
 
     In its place another one is repeated with weight zero: so all fits share their
     shapes and programs, and the held-out configuration cannot affect the fit, not even
-    by having no equilibrium.
+    by having no equilibrium. One that others follow stays, with weight zero.
     """
-    every = np.arange(len(fitted))
-    lanes = np.where(fitted, every, (every + 1) % len(fitted))
+    every, earlier = np.arange(len(fitted)), earlier_lanes([*problem.configurations])
+    stays = fitted | np.isin(every, [p for p in earlier if p is not None])
+    lanes = np.where(stays, every, (every + 1) % len(fitted))
     taken = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], problem.configurations)
     weight = np.where(fitted[:, None, None], taken.effectors.inverse_std, 0.0)
     taken = eqx.tree_at(lambda c: c.effectors.inverse_std, taken, weight)

@@ -211,8 +211,9 @@ def obstacles_at_start(model: Model, states: BodyStateArrays) -> list[PlacedObst
     """List the obstacles that are there before the load, in states of the bodies."""
     if model.mechanism.contacts.n_obstacles == 0:
         return []  # without compiling for it
-    present, frames = jax.device_get(model.mechanism.standing(states))
-    return _placed(model, present, frames, model.mechanism.contacts.names)
+    standing = jax.device_get(model.mechanism.standing(states))
+    names = model.mechanism.contacts.names
+    return _placed(model, standing.present, standing.start, names)
 
 
 def _placed(

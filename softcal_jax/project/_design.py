@@ -88,6 +88,7 @@ class CandidateTable(Table):
 class ConfigurationTable(CandidateTable):
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
+    after: str | None = Field(None, description="name of another pose")
     measured: MeasuredTable | None = None
     goal: dict[str, Any] | None = None
 
@@ -156,6 +157,7 @@ def build_configuration(
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
+        after=getattr(table, "after", None),
         displacement_from=reference,
         relative_std=table.relative_std,
     )

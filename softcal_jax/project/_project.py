@@ -118,6 +118,7 @@ class Project(Module):
             f"configurations.{c.name}: it has no `measured` positions or effectors."
             for c in self.configurations
             if not c.is_measured
+            and c.name not in {d.after for d in self.configurations}
         ]
         if problems:
             raise one_by_one(self.path, problems)

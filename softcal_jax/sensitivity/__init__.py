@@ -12,6 +12,7 @@ from softcal_jax.sensitivity._rows import (
     adjoint_of_tets as adjoint_of_tets,
     check_parameter_derivatives as check_parameter_derivatives,
     clamp_row as clamp_row,
+    following_rows as following_rows,
     mesh_row as mesh_row,
     parameter_forces as parameter_forces,
     parameter_rows as parameter_rows,

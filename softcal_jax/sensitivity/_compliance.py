@@ -22,7 +22,7 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._rows import parameter_rows
+from softcal_jax.sensitivity._rows import following_rows, parameter_rows
 
 FEW_PARAMETERS = 12
 """Number of parameters up to which the direct method is used, which yields dx/dp too.
@@ -152,22 +152,23 @@ def equilibrium_response(
     guess: Float[Array, "n_points 3"],
     before: Float[Array, "n_points 3"] | None = None,
     precise: bool | Bool[Array, ""] = False,
+    slopes: Float[Array, "n_p n_stages n_points 3"] | None = None,
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
     If none is near, it is not converged, see `continue_equilibrium`. W_ep reuses the
     factor of the last Newton step, and is exact only if `precise`. `vmap` runs
     configurations sequentially, each to its own convergence. Arguments as for
-    `continue_equilibrium` and `parameter_compliance`.
+    `continue_equilibrium`, `parameter_compliance` and `following_rows`.
     """
     model, rest = eqx.partition(model, eqx.is_array_like)
 
     @jax.custom_batching.sequential_vmap
-    def lane(model, space, z, configuration, guess, before, precise):
+    def lane(model, space, z, configuration, guess, before, precise, slopes):
         model = eqx.combine(model, rest)
         model, configuration = space.apply(model, configuration, z)
         n_p, n_e = z.shape[0], configuration.effectors.measured.size
-        adjoint = n_p > max(n_e, FEW_PARAMETERS)
+        adjoint = slopes is None and n_p > max(n_e, FEW_PARAMETERS)
         equilibrium, linearisation = continue_equilibrium(
             model,
             configuration,
@@ -179,6 +180,7 @@ def equilibrium_response(
             rows=n_p if not adjoint else n_e * model.solver.sparsity.symmetric,
         )
         rows = parameter_rows(linearisation, space, z)
+        rows = following_rows(linearisation, rows, slopes)
         changes = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
         ok = changes.ok & equilibrium.converged
         or_zero = lambda a: jnp.where(ok, a, 0.0)
@@ -193,4 +195,5 @@ def equilibrium_response(
         )
 
     before = guess if before is None else before
-    return lane(model, space, z, configuration, guess, before, jnp.asarray(precise))
+    exact = jnp.asarray(precise)
+    return lane(model, space, z, configuration, guess, before, exact, slopes)

@@ -261,6 +261,31 @@ def parameter_rows(
     return jax.tree.map(lambda leaf, new: leaf.at[others].set(new), rows, of_others)
 
 
+@eqx.filter_jit
+def following_rows(
+    linearisation: Linearisation,
+    rows: InputRows,
+    slopes: Float[Array, "n n_stages n_points 3"] | None,
+) -> InputRows:
+    """Add to rows of inputs what friction remembers: changes of earlier equilibria.
+
+    `slopes` are the changes of their displacements per unit of each input [m].
+    """
+    if slopes is None:
+        return rows
+    lin = linearisation
+    model, lane = lin.posed.model, lin.posed.configuration
+    moved = lambda w: jnp.asarray(lane.stages) + jnp.tensordot(w, slopes, 1)
+    changed = lambda w: eqx.tree_at(lambda c: c.stages, lane, moved(w))
+
+    def by_stages(function):
+        return derivatives(
+            lambda w: function(model, changed(w)), jnp.zeros(len(slopes))
+        )
+
+    return jax.tree.map(jnp.add, rows, input_rows(lin, by_stages, effector_values))
+
+
 def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:
     """Return the indices of the parameters that set more than fields of the law."""
     return np.flatnonzero(~np.asarray(space.sets_fields))

@@ -17,7 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    ConfigurationArrays,
+    earlier_lanes,
+    following_each_other,
+    in_order,
+)
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     InputRows,
@@ -44,7 +49,13 @@ from softcal_jax.fields import (
 )
 from softcal_jax.inference import ErrorColumns
 from softcal_jax.mesh import TetMesh, boundary_faces, straightened
-from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
+from softcal_jax.sensitivity import (
+    clamp_row,
+    following_rows,
+    mesh_row,
+    parameter_rows,
+    stress_patches,
+)
 from softcal_jax.unknowns._noise import (
     CorrelatedNoise,
     attachments,
@@ -285,16 +296,20 @@ def considered_errors(
     In stated standard deviations of the rows. A mesh can be too soft for weight and too
     stiff for pressure, and the sum would say that it is right. So what the forces of
     actuators add to its error is an error of its own, see `Evaluator.without_forces`.
+    The errors of a pose that follows another count as if they occurred there, too.
     """
     arrays = problem.configurations
     weight = np.asarray(arrays.effectors.inverse_std)
     displacements = np.asarray(equilibrium.displacement)
-    states = [*enumerate(zip(arrays, displacements, strict=True))]
+    each = following_each_other([*arrays], displacements)
+    states = [*enumerate(zip(each, displacements, strict=True))]
     for (c, *_), u in without_forces:
-        states.append((c, (arrays[c].without_forces(), u)))
+        states.append((c, (each[c].without_forces(), u)))
     errors, (program, lanes) = _work(problem, z, states)
     columns = np.zeros((len(errors), len(states), weight[0].size))
-    for k, of_state in enumerate(workers.map(program, lanes)):
+    of_poses = earlier_lanes([*arrays])
+    earlier = [of_poses[c] for c, _ in states]
+    for k, of_state in _run(workers, program, lanes, earlier).items():
         columns[:, k] = np.asarray(of_state).T
     columns, alone = np.split(columns, [len(weight)], axis=1)
     for k in [k for k, error in enumerate(errors) if error.cause == MESH]:
@@ -309,6 +324,28 @@ def considered_errors(
     for column, error in zip(columns, errors, strict=True):
         column *= 1.0 if error.row is None else error.prior
     return where_shared(errors, columns, problem.n_fitted, weight)
+
+
+def _run(
+    workers: Workers,
+    program: Program,
+    lanes: Sequence[tuple],
+    earlier: Sequence[int | None],
+) -> dict[int, Float[Array, "n_e n_rows"]]:
+    """Run lanes, each with the changes of those that it follows."""
+    if not lanes:
+        return {}
+    compliances, moved, slopes = {}, {}, {}
+    for group in in_order(earlier):
+        for k in group:
+            p, slopes[k] = earlier[k], lanes[k][-1]
+            if p is not None and slopes[k] is not None:
+                new = slopes[p], np.asarray(moved[p])[:, None]
+                slopes[k] = jax.device_put(np.concatenate(new, axis=1)[:, 1:])
+        calls = [(*lanes[k][:-1], slopes[k]) for k in group]
+        for k, (W, u) in zip(group, workers.map(program, calls), strict=True):
+            compliances[k], moved[k] = W, u
+    return compliances
 
 
 def where_shared(
@@ -356,12 +393,17 @@ def _work(
     rows = tuple(error.row for error in errors if error.row is not None)
     data = [error.data() for error in errors if error.row is not None]
     some = errors and problem.configurations.effectors.measured.size
+    still, slopes = problem.configurations.stages.shape[1:], None
+    if still[0] > 0:
+        n = len(rows) + (0 if space is None else len(space.names))
+        slopes = jax.device_put(np.zeros((n, *still)))
     lanes = [
         (
             tuple(jax.device_put(of_pose[c]) for of_pose in data),
             z,
             lane,
             jax.device_put(u),
+            slopes,
         )
         for c, (lane, u) in (states if some else ())
     ]
@@ -379,12 +421,18 @@ def _of_pose(
     z,
     c,
     u,
-) -> Float[Array, "n_e n_rows"]:
-    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
+    slopes: Float[Array, "n_rows n_stages n_points 3"] | None,
+) -> tuple[Float[Array, "n_e n_rows"], Float[Array, "n_rows n_points 3"] | None]:
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9).
+
+    Given `slopes`, see `following_rows`, return the change of the displacement, too.
+    """
     lin = linearise(*space.apply(model, c, z), u)
     of_all = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
     of_all += [row(lin, of_pose) for row, of_pose in zip(rows, data, strict=True)]
     stacked = jax.tree.map(lambda *parts: jnp.concatenate(parts), *of_all)
-    fewer = len(stacked.force) > c.effectors.measured.size
+    stacked = following_rows(lin, stacked, slopes)
+    fewer = slopes is None and len(stacked.force) > c.effectors.measured.size
     response = sensitivity(lin, stacked, effector_values, adjoint=fewer)
-    return jnp.where(response.ok, response.W_ep, jnp.nan)
+    moved = None if slopes is None else response.displacement
+    return jnp.where(response.ok, response.W_ep, jnp.nan), moved
