@@ -1,6 +1,7 @@
 """Obstacles in the view of `report.html`."""
 
 import base64
+import dataclasses
 import io
 
 import numpy as np
@@ -44,6 +45,24 @@ def test_each_pose_places_those_that_are_there(model):
     assert numbers(ball["triangles"], "<u4").max() < len(radii)
     normals = numbers(plate["normals"], "<f4")
     np.testing.assert_allclose(np.abs(normals[:, 2]), 1.0, rtol=1e-6)
+
+
+def test_the_pressure_of_contact_is_a_field_where_something_touches(model):
+    free, surface = pressed(model), surface_of(model, 1)
+    assert free.robot is not None
+    pressure = np.zeros(len(model.mechanism.contacts.faces))
+    pressure[[1, 3]] = 1e3, 2e3
+    felt = dataclasses.replace(free.robot.contacts[0], pressure=pressure)
+    robot = dataclasses.replace(free.robot, contacts=(felt,))
+    touching = dataclasses.replace(free, robot=robot)
+    labels = [field.label for field in fields_of(model, [free], surface)]
+    assert not any("pressure" in label for label in labels)
+    fields = fields_of(model, [free, touching], surface)
+    (field,) = (f for f in fields if f.label == "contact pressure [kPa]")
+    assert field.place == "face"
+    of_faces = 1e-3 * robot.surface_pressure(model)
+    assert sorted(of_faces[of_faces > 0.0]) == [1.0, 2.0]
+    np.testing.assert_allclose(np.array(field.values), [0.0 * of_faces, of_faces])
 
 
 def test_they_leave_the_camera_to_the_robot(model):
