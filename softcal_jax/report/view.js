@@ -365,14 +365,15 @@
     gl.depthFunc(gl.LESS);
   };
   const besideOf = (obstacle, w, h) => {
-    // Where it is seen farthest from the middle.
-    let place = project(obstacle.at), farthest = 0;
-    for (const [right, down] of pointsOf(obstacle).map(project)) {
-      const off = Math.hypot(right - w / 2, down - h / 2);
-      const seen = right > 20 && right < w - 90 && down > 20 && down < h - 110;
-      if (seen && off > farthest) [place, farthest] = [[right, down], off];
-    }
-    return place;
+    // Where it is seen farthest up and right, since a name goes on to the right; what is
+    // larger than the robot, farthest from the middle.
+    const { fits } = shapes[obstacle.shape];
+    const score = ([right, down]) =>
+      fits ? right - down : Math.hypot(right - w / 2, down - h / 2);
+    const seen = pointsOf(obstacle).map(project).filter(([right, down]) =>
+      right > 20 && right < w - 90 && down > 20 && down < h - 110);
+    seen.sort((a, b) => score(b) - score(a));
+    return seen[0] ?? project(obstacle.at);
   };
 
   // ---- Marks and names
