@@ -1,6 +1,7 @@
 """Obstacles in the view of `report.html`."""
 
 import base64
+import dataclasses
 import io
 
 import numpy as np
@@ -46,6 +47,24 @@ def test_each_pose_places_those_that_are_there(model):
     np.testing.assert_allclose(np.abs(normals[:, 2]), 1.0, rtol=1e-6)
 
 
+def test_the_pressure_of_contact_is_a_field_where_something_touches(model):
+    free, surface = pressed(model), surface_of(model, 1)
+    assert free.robot is not None
+    pressure = np.zeros(len(model.mechanism.contacts.faces))
+    pressure[[1, 3]] = 1e3, 2e3
+    felt = dataclasses.replace(free.robot.contacts[0], pressure=pressure)
+    robot = dataclasses.replace(free.robot, contacts=(felt,))
+    touching = dataclasses.replace(free, robot=robot)
+    labels = [field.label for field in fields_of(model, [free], surface)]
+    assert not any("pressure" in label for label in labels)
+    fields = fields_of(model, [free, touching], surface)
+    (field,) = (f for f in fields if f.label == "contact pressure [kPa]")
+    assert field.place == "face"
+    of_faces = 1e-3 * robot.surface_pressure(model)
+    assert sorted(of_faces[of_faces > 0.0]) == [1.0, 2.0]
+    np.testing.assert_allclose(np.array(field.values), [0.0 * of_faces, of_faces])
+
+
 def test_they_leave_the_camera_to_the_robot(model):
     """Neither they nor the frames of bodies that only stand beside are looked at."""
     with_them, without = pressed(model), pressed(model, present=())
@@ -82,17 +101,25 @@ def test_a_browser_draws_them_half_transparent(model, tmp_path, monkeypatch):
         image = Image.open(io.BytesIO(tab.screenshot("#view .stage")))
         return np.asarray(image.convert("RGB"), int)
 
+    def with_and_without(tab):
+        shown = seen(tab)
+        tab.ask("document.getElementById('view-obstacles').click()")
+        return shown, seen(tab)
+
     with _browser.opened(tmp_path / "out" / "report.html") as tab:
         assert tab.loaded == _browser.Visit((), ())
         tab.resize(1200)
-        shown = seen(tab)
-        tab.ask("document.getElementById('view-obstacles').click()")
-        bare = seen(tab)
+        shown, bare = with_and_without(tab)
+        tab.ask(
+            "const seen = document.getElementById('view-direction');"
+            "seen.selectedIndex = 5; seen.dispatchEvent(new Event('change'));"
+        )
+        bare_above, above = with_and_without(tab)
     white = (bare > 250).all(axis=2)
     grey = white & (shown.max(axis=2) < 230) & (np.ptp(shown, axis=2) < 15)
     assert 0.1 < grey.sum() / white.sum() < 0.95
-    # Where the probe stands before the robot, its colour is seen through it.
-    coloured = np.ptp(bare, axis=2) > 60
-    through = coloured & (np.abs(shown - bare).max(axis=2) > 20)
-    assert through.any()
-    assert np.median(np.ptp(shown[through], axis=1)) > 15
+    # Seen from above, the probe stands before the robot, whose colour comes through.
+    coloured = np.ptp(bare_above, axis=2) > 60
+    through = coloured & (np.abs(above - bare_above).max(axis=2) > 20)
+    assert 0.05 < through.sum() / coloured.sum() < 0.5
+    assert np.median(np.ptp(above[through], axis=1)) > 15

@@ -117,7 +117,7 @@ def view_fields(
     surface: Surface,
     errors: TetValues | None,
 ) -> list[Field]:
-    """Collect the fields: of the state of the body, of its law, and at markers.
+    """Collect the fields: of the state of the body, its law, contact, and at markers.
 
     Fields of the law are shown if they vary over the body or were calibrated, and so
     have standard errors. A field without any value on the surface is left out.
@@ -129,6 +129,10 @@ def view_fields(
     for name, unit in _STATE.items():
         values = [state[name][surface.tets] if state else None for state in states]
         fields.append(_of_faces(name, unit, values, surface))
+    touched = [_pressure(model, pose) for pose in shown]
+    if any(values is not None and values.any() for values in touched):
+        note = "Each face has its mean."
+        fields.append(_of_faces("contact pressure", "Pa", touched, surface, note))
     label = "distance at markers [mm]"
     note = "Discs at the measured markers; there are no values in between."
     fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
@@ -147,6 +151,13 @@ def calibrated_field(fields: Sequence[Field]) -> int:
             if np.nanmin(values) < 0.999 * np.nanmax(values):
                 return k
     return 0
+
+
+def _pressure(model: Model, pose: ConfigurationResult):
+    """Compute the pressure of contact on the faces [Pa], with an equilibrium."""
+    if not pose.converged or pose.robot is None:
+        return None
+    return pose.robot.surface_pressure(model)
 
 
 def _distances(pose: ConfigurationResult):
@@ -183,6 +194,7 @@ def _of_faces(
     unit: str,
     values: Sequence[Float[HostArray, " n_faces"] | None],
     surface: Surface,
+    of_each: str = "Each face has the value of its tet.",
 ) -> Field:
     """Convert values of faces to a readable unit; rigid faces get no value."""
     present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
@@ -192,7 +204,7 @@ def _of_faces(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values
     )
-    note = ["Each face has the value of its tet."]
+    note = [of_each]
     if unit == "rad":
         note.append("Angles that differ by 180 deg are one axis.")
     if not np.isfinite(present).all():

@@ -1,9 +1,9 @@
 // The body of a page in three dimensions: one shaded surface by WebGL 2, and what must
 // keep its size on the screen, marks and names, by a canvas above it.
 //
-// A library would take over the surface alone. The renderer of three.js has 357 kB,
-// a dozen times this file, in modules that load each other, which a page of one file
-// cannot do without a tool that bundles them.
+// A library would take over the surface and the pointer alone, a fifth of this file:
+// three.js, bundled into the one file that a page is, would add 0.5 MB to each page,
+// vtk.js 0.9 MB, k3d 2.6 MB.
 "use strict";
 (() => {
   const byId = (id) => document.getElementById("view-" + id);
@@ -114,8 +114,16 @@
     const mesh = indexed(points, list), n = buffer();
     fill(n, new Float32Array(bytes(shape.normals).buffer));
     attribute(n, 1, 3);
-    return { ...mesh, points, size: list.length };
+    const fits = points.every((x) => 2 * Math.abs(x) <= NONE * data.step);
+    return { ...mesh, points, size: list.length, fits }; // not larger than the robot
   });
+  const pointsOf = ({ shape, at: origin, axes }) => { // some of them
+    const { points } = shapes[shape], step = 3 * Math.ceil(points.length / 600);
+    const some = [];
+    for (let k = 0; k < points.length; k += step)
+      some.push(axes.reduce((x, axis, j) => sum(x, axis, points[k + j]), origin));
+    return some;
+  };
   gl.bindVertexArray(null);
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -188,11 +196,11 @@
     const scalar = field(), all = new Float32Array(3 * nTriangles).fill(-1);
     const packed = pose().drawn && scalar.place !== "marker" ? ofPose(scalar.values) : null;
     if (packed) {
-      const of = shorts(packed);
+      const of = shorts(packed), alone = scalar.range[0] === scalar.range[1];
       for (let k = 0; k < all.length; k++) {
         const face = Math.floor(k / 3 / data.perFace);
         const raw = of[scalar.place === "face" ? face : triangles[k]];
-        if (raw !== NONE && !rigid[face]) all[k] = (raw + 0.5) / NONE;
+        if (raw !== NONE && !rigid[face]) all[k] = alone ? 0.5 : (raw + 0.5) / NONE;
       }
     }
     fill(values, all);
@@ -228,6 +236,9 @@
       for (const mark of configuration.markers)
         for (const p of [mark.measured, mark.simulated]) if (p) see(...p);
     data.view.more.forEach((p) => see(...p));
+    for (const { obstacles } of data.configurations)
+      for (const obstacle of obstacles)
+        if (shapes[obstacle.shape].fits) pointsOf(obstacle).forEach((p) => see(...p));
     centre = [0, 1, 2].map((i) =>
       frame.reduce((t, axis, k) => t + axis[i] * 0.5 * (low[k] + high[k]), 0));
     fitted = [high[0] - low[0] || 1, high[1] - low[1] || 1];
@@ -353,17 +364,16 @@
     }
     gl.depthFunc(gl.LESS);
   };
-  const besideOf = ({ shape, at: origin, axes }, w, h) => {
-    // Where it is seen farthest from the middle, by some of its points.
-    const { points } = shapes[shape], step = 3 * Math.ceil(points.length / 600);
-    let place = project(origin), farthest = 0;
-    for (let k = 0; k < points.length; k += step) {
-      const x = axes.reduce((x, axis, j) => sum(x, axis, points[k + j]), origin);
-      const [right, down] = project(x), off = Math.hypot(right - w / 2, down - h / 2);
-      const seen = right > 20 && right < w - 90 && down > 20 && down < h - 110;
-      if (seen && off > farthest) [place, farthest] = [[right, down], off];
-    }
-    return place;
+  const besideOf = (obstacle, w, h) => {
+    // Where it is seen farthest up and right, since a name goes on to the right; what is
+    // larger than the robot, farthest from the middle.
+    const { fits } = shapes[obstacle.shape];
+    const score = ([right, down]) =>
+      fits ? right - down : Math.hypot(right - w / 2, down - h / 2);
+    const seen = pointsOf(obstacle).map(project).filter(([right, down]) =>
+      right > 20 && right < w - 90 && down > 20 && down < h - 110);
+    seen.sort((a, b) => score(b) - score(a));
+    return seen[0] ?? project(obstacle.at);
   };
 
   // ---- Marks and names
@@ -373,6 +383,7 @@
     pen.clearRect(0, 0, w, h);
     pen.lineCap = "round";
     pen.lineJoin = "round";
+    pen.textBaseline = "middle";
     const path = (points, colour, width, dash = [], rim = 3) => {
       pen.beginPath();
       points.forEach((p, k) => (k ? pen.lineTo(...p) : pen.moveTo(...p)));
@@ -388,24 +399,27 @@
       pen.stroke();
       pen.setLineDash([]);
     };
-    const arrow = (tip, towards, length, colour, name) => {
-      const end = project(tip), start = project(sum(tip, towards, -length / s));
+    const arrow = (start, end, colour) => {
       const along = Math.hypot(end[0] - start[0], end[1] - start[1]);
+      pen.fillStyle = colour;
       if (along < 6) { // it points at the reader, or away
         pen.beginPath();
         pen.arc(...end, 5, 0, 2 * Math.PI);
-        pen.fillStyle = colour;
-        pen.fill();
       } else {
         const d = [(end[0] - start[0]) / along, (end[1] - start[1]) / along];
         const back = (f, g) =>
           [end[0] - f * d[0] - g * d[1], end[1] - f * d[1] + g * d[0]];
         path([start, back(8, 0)], colour, 2.5);
         path([end, back(11, 5), back(11, -5), end], colour, 1, [], 2);
-        pen.fillStyle = colour;
-        pen.fill();
       }
-      names.push([name, start]);
+      pen.fill();
+    };
+    const arrows = (kind) => {
+      for (const { tip, towards, name } of shown.arrows.filter((a) => a.kind === kind)) {
+        const start = project(sum(tip, towards, -46 / s));
+        arrow(start, project(tip), paint.force);
+        names.push([name, start]);
+      }
     };
     if (shown.drawn && on("fibres")) {
       pen.beginPath();
@@ -435,12 +449,9 @@
         path(ends, paint.motor, 2.5, [8, 3, 2, 3]);
         names.push([motor.name, project(motor.at)]);
       }
-      shown.arrows.filter((a) => a.kind === "force").forEach((a) =>
-        arrow(a.tip, a.towards, 46, paint.force, a.name));
+      arrows("force");
     }
-    if (on("loads"))
-      shown.arrows.filter((a) => a.kind === "load").forEach((a) =>
-        arrow(a.tip, a.towards, 46, paint.force, a.name));
+    if (on("loads")) arrows("load");
     if (on("obstacles"))
       for (const o of shown.obstacles) names.push([o.name, besideOf(o, w, h)]);
     if (on("frames"))
@@ -452,7 +463,7 @@
         if (f.name) names.push([f.name, project(f.at)]);
       }
     const [marks, points] = on("markers") ? drawMarkers(pen, path) : [[], []];
-    corner(pen, path, w, h, s);
+    corner(pen, path, arrow, w, h, s);
     if (on("names")) write(pen, [...points, ...names], marks, w, h);
   };
   const drawMarkers = (pen, path) => {
@@ -502,76 +513,73 @@
     return [marks, names];
   };
   const FONT = '13px system-ui, "Segoe UI", Roboto, Arial, sans-serif';
+  const letter = (pen, text, x, y, colour = "#1a1a1a") => {
+    pen.strokeStyle = "rgba(255, 255, 255, 0.9)";
+    pen.lineWidth = 4;
+    pen.strokeText(text, x, y);
+    pen.fillStyle = colour;
+    pen.fillText(text, x, y);
+  };
   const write = (pen, names, marks, w, h) => {
-    // Move names up or down until none covers another.
+    // Move names up or down until none covers another, or what is in the corners.
     const taken = marks.map(([x, y]) => [x - 7, y, 12]);
     pen.font = FONT;
-    pen.textBaseline = "middle";
     const written = new Set();
     for (const [whole, place] of names) {
       // Where there is little room, a table says what drives an actuator.
       const name = w < 480 && field().place !== "marker" ? whole.split(":")[0] : whole;
       // A body is often named as what drives it, or as its marker.
       if (!name || !place || written.has(name)) continue;
+      if (place[0] < 0 || place[0] > w || place[1] < 0 || place[1] > h) continue;
       written.add(name).add(name.split(":")[0]);
-      const long = pen.measureText(name).width, x0 = place[0] + 11;
-      const x = Math.max(4, Math.min(x0, w - long - 4));
-      const free = (y) => y > 8 && y < h - 8 && taken.every((t) =>
+      const long = pen.measureText(name).width;
+      const x = Math.max(4, Math.min(place[0] + 13, w - long - 4));
+      const isRight = x + long > w - 30 - Math.min(140, 0.3 * w);
+      const lowest = h - (x < 150 ? 74 : isRight ? 42 : 8);
+      const free = (y) => y > 8 && y < lowest && taken.every((t) =>
         x > t[0] + t[2] + 4 || x + long + 4 < t[0] || Math.abs(y - t[1]) > 15);
       const ways = [-11, 11, -27, 27, -43, 43, -59, 59].map((d) => place[1] + d);
       const y = ways.find(free) ?? ways[0];
       taken.push([x, y, long]);
-      pen.strokeStyle = "rgba(255, 255, 255, 0.9)";
-      pen.lineWidth = 4;
-      pen.strokeText(name, x, y);
-      pen.fillStyle = "#1a1a1a";
-      pen.fillText(name, x, y);
+      letter(pen, name, x, y);
     }
   };
-  const corner = (pen, path, w, h, s) => {
-    // The axes, and a length.
-    const from = [44, h - 40];
+  const corner = (pen, path, arrow, w, h, s) => {
+    // The axes, gravity, and a length.
+    const from = [44, h - 40], seen = ([right, up]) => [right, -up];
+    const axes = [0, 1, 2].map((k) => seen([frame[0][k], frame[1][k]]));
     pen.font = "bold " + FONT;
     pen.textAlign = "center";
-    pen.textBaseline = "middle";
-    [["x", "#c0392b"], ["y", "#1e8449"], ["z", "#1f4fa0"]].forEach(([name, colour], k) => {
-      const d = [frame[0][k], -frame[1][k]], long = Math.hypot(...d);
+    ["#c0392b", "#1e8449", "#1f4fa0"].forEach((colour, k) => {
+      const d = axes[k], long = Math.hypot(...d);
+      // The letter of an axis that points at the reader stands opposite to the others.
+      const others = [0, 1].map((i) => axes[0][i] + axes[1][i] + axes[2][i] - d[i]);
+      const off = long > 0.15 ? 22 + 9 / long : 0;
+      const [x, y] = off ? [off * d[0], off * d[1]] : [-8 * others[0], -8 * others[1]];
       path([from, [from[0] + 22 * d[0], from[1] + 22 * d[1]]], colour, 2.2, [], 2);
-      const off = long > 0.15 ? (22 * long + 9) / long : 0;
-      pen.fillStyle = colour;
-      pen.fillText(name, from[0] + off * d[0] + (off ? 0 : 8), from[1] + off * d[1]);
+      letter(pen, "xyz"[k], from[0] + x, from[1] + y, colour);
     });
     if (on("loads") && pose().gravity) {
-      const g = [dot(frame[0], pose().gravity), -dot(frame[1], pose().gravity)];
-      const start = [112, h - 36 - 15 * g[1]], end = [112 + 30 * g[0], start[1] + 30 * g[1]];
-      path([start, end], paint.gravity, 2);
-      const d = Math.hypot(...g);
-      if (d > 0.2) {
-        const u = [g[0] / d, g[1] / d];
-        const head = [7, -7].map((t) => [end[0] - 9 * u[0] - t * 0.6 * u[1],
-          end[1] - 9 * u[1] + t * 0.6 * u[0]]);
-        path([head[0], end, head[1]], paint.gravity, 2, [], 0);
-      }
-      pen.fillStyle = paint.gravity;
-      pen.fillText("g", start[0] + 14, h - 36);
+      const g = seen([dot(frame[0], pose().gravity), dot(frame[1], pose().gravity)]);
+      const [start, end] = [-15, 15].map((t) => [112 + t * g[0], h - 36 + t * g[1]]);
+      arrow(start, end, paint.gravity);
+      letter(pen, "g", 138, h - 36, paint.gravity);
     }
     const room = Math.min(140, 0.3 * w) / s, power = 10 ** Math.floor(Math.log10(room));
     const length = [5, 2, 1].map((k) => k * power).find((l) => l <= room);
     const right = w - 16, left = right - length * s, y = h - 16;
-    path([[left, y - 4], [left, y + 4]], "#1a1a1a", 2, [], 2);
-    path([[right, y - 4], [right, y + 4]], "#1a1a1a", 2, [], 2);
-    path([[left, y], [right, y]], "#1a1a1a", 2, [], 2);
+    for (const [a, b] of [[[left, -4], [left, 4]], [[right, -4], [right, 4]],
+      [[left, 0], [right, 0]]])
+      path([[a[0], y + a[1]], [b[0], y + b[1]]], "#1a1a1a", 2, [], 2);
     pen.font = FONT;
-    pen.fillStyle = "#1a1a1a";
-    pen.fillText(`${Number(length.toPrecision(3))} mm`, 0.5 * (left + right), y - 13);
+    letter(pen, `${Number(length.toPrecision(3))} mm`, 0.5 * (left + right), y - 13);
     pen.textAlign = "left";
   };
 
   // ---- Words
-  const digits = (value, range) => {
-    const size = Math.max(Math.abs(value), Math.abs(range)) || 1;
-    const decimals = Math.min(8, Math.max(0, 2 - Math.floor(Math.log10(size))));
-    return value.toFixed(decimals);
+  const digits = (value, range) => { // with as many decimals as tell the range apart
+    const decimals = 2 - Math.floor(Math.log10(Math.abs(range) || 1));
+    return value.toFixed(Math.min(8, Math.max(0, decimals)));
   };
   const tell = () => {
     const scalar = field(), [low, high] = scalar.range, unit = scalar.unit && " " + scalar.unit;
@@ -579,7 +587,7 @@
     const stops = [0, 32, 64, 96, 128, 160, 192, 224, 255].map((c) =>
       `rgb(${colours.subarray(3 * c, 3 * c + 3).join()})`);
     byId("colours").style.background =
-      constant ? stops[0] : `linear-gradient(to right, ${stops.join()})`;
+      constant ? stops[4] : `linear-gradient(to right, ${stops.join()})`;
     byId("title").textContent = constant ? `${name}: ${digits(low, low)}${unit}` : scalar.label;
     [...byId("ticks").children].forEach((tick, k) => {
       tick.textContent = constant ? "" : digits(low + 0.25 * k * (high - low), high - low);
