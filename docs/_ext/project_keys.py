@@ -33,10 +33,8 @@ from softcal_jax.exchange.cad import mesh_cad
 from softcal_jax.exchange.camera import tag_pose
 from softcal_jax.fields import (
     ControlPointParameters,
-    ControlPoints,
     Parameter,
     ParameterSpace,
-    Uncertain,
 )
 from softcal_jax.materials import ELASTICITIES, LAWS
 from softcal_jax.project import (
@@ -201,10 +199,11 @@ def sections() -> Iterator[Section]:
         for table in get_args(field.annotation):
             if isinstance(table, type) and issubclass(table, Table):
                 yield Section(f"{key} in [groups.NAME]", table)
-    yield Section("[shapes.NAME]", _setup.ShapeTable, (mesh.surface_motion,))
+    yield Section("[shapes.NAME]", table_of(mesh.surface_motion))
     yield Section("[material]", Material, (build_model,))
     yield from _laws()
-    for name, table in _robot.DIRECTIONS.items():
+    for name in _robot.DIRECTIONS:
+        table = _of_type(_robot.AnyDirections, name)
         yield Section(f'directions in [material], type = "{name}"', table)
     yield Section("[bodies.NAME]", _robot.BodyTable)
     yield Section("mounting in [bodies.NAME]", table_of(Pose))
@@ -220,7 +219,7 @@ def sections() -> Iterator[Section]:
         yield Section(f'[effectors.NAME], type = "{name}"', table)
     yield Section("[markers]", MarkersTable)
     yield Section("A marker with its own std", MarkerEntry)
-    yield Section("[control_points.NAME]", _setup.ControlPointsTable, (ControlPoints,))
+    yield Section("[control_points.NAME]", _of_type(_setup.AnyControlPoints))
     several = Parameter, ControlPointParameters
     yield Section("[[parameters]]", _setup.ParameterTable, several)
     yield Section("[parameter_space]", _setup.ParameterSpaceTable, (ParameterSpace,))
@@ -242,12 +241,12 @@ def sections() -> Iterator[Section]:
     yield Section("displacement_from of photographs", _sensors.EarlierPhotosTable)
     yield Section("base of a frame", _sensors.FrameTable)
     yield Section("[design]", _design.DesignTable)
-    yield Section("[uncertain]", _setup.UncertainTable, (Uncertain,))
+    yield Section("[uncertain]", _of_type(_setup.AnyUncertain))
     yield Section("[settings]", _reading.SettingsTable, (Project,))
     yield Section("[newton]", _reading.NewtonTable, (build_model,))
 
 
-def _of_type(annotation: Any, name: str) -> type[Table]:
+def _of_type(annotation: Any, name: str = "") -> type[Table]:
     (choice,) = annotation.__metadata__
     return choice.choose({"type": name}, ())
 

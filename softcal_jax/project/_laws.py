@@ -134,11 +134,11 @@ class Material(_OfLaw):
         for name, region in owners.items():
             tets = np.asarray(mesh.tets_of(name))
             with under(f"regions.{name}.{_FRAME}"):
-                frames[tets] = getattr(region, _FRAME).frames(mesh, tets, data)
+                frames[tets] = getattr(region, _FRAME).build(mesh, tets, data)
             others = np.setdiff1d(others, tets)
         if base is not None and others.size:
             with under(_FRAME):
-                frames[others] = base.frames(mesh, others, data)
+                frames[others] = base.build(mesh, others, data)
         return frames
 
 

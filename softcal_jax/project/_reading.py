@@ -35,12 +35,12 @@ from softcal_jax.project._quantities import recognised
 from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
+    AnyControlPoints,
     AnySetup,
-    ControlPointsTable,
+    AnyShape,
+    AnyUncertain,
     ParameterSpaceTable,
     ParameterTable,
-    ShapeTable,
-    UncertainTable,
 )
 from softcal_jax.project._table import (
     Choice,
@@ -112,11 +112,11 @@ class ProjectTable(Table):
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
-    shapes: dict[str, ShapeTable] = Field(default_factory=dict)
+    shapes: dict[str, AnyShape] = Field(default_factory=dict)
     material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)
-    control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
+    control_points: dict[str, AnyControlPoints] = Field(default_factory=dict)
     parameters: tuple[ParameterTable, ...] = ()
     setup: tuple[AnySetup, ...] = ()
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
@@ -126,7 +126,7 @@ class ProjectTable(Table):
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     design: DesignTable = DesignTable()
-    uncertain: UncertainTable = UncertainTable()
+    uncertain: AnyUncertain = Field({}, validate_default=True)
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 

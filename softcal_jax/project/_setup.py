@@ -11,7 +11,6 @@ from pydantic import (
     BeforeValidator,
     Field,
     StrictFloat,
-    StrictInt,
     create_model,
     field_validator,
     model_validator,
@@ -19,17 +18,19 @@ from pydantic import (
 
 from softcal_jax import fields
 from softcal_jax._text import check_unique
+from softcal_jax.mesh import surface_motion
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._laws import Constant
 from softcal_jax.project._table import (
     Choice,
+    Maker,
     Table,
     TableOr,
     WholeFile,
     by_keys,
     known_name,
     one_of,
-    table_of,
+    only,
     under,
 )
 
@@ -37,30 +38,13 @@ PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
 
 
-class ControlPointsTable(Table):
-    """Control points, where fields of the law have values of their own."""
-
-    positions: TableOr[dict[str, typed.Position], tuple[typed.Position, ...]] = Field(
-        description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
-        "of positions"
-    )
-    names: tuple[str, ...] | None = None
-    power: StrictFloat = 2.0
-    nearest: StrictInt | None = None
-    axes: str = "xyz"
-    max_distance: typed.Length | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "ControlPointsTable":
-        if self.names is not None and isinstance(self.positions, dict):
-            raise ValueError("`positions` names its points: leave `names` out.")
-        return self
-
-    def build(self) -> fields.ControlPoints:
-        positions = self.positions
-        if not isinstance(positions, dict):
-            positions = np.array(positions, float).reshape(-1, 3)
-        return fields.ControlPoints(positions, **self.model_dump(exclude={"positions"}))
+AnyControlPoints = Annotated[
+    Maker,
+    only(
+        fields.ControlPoints,
+        positions=TableOr[dict[str, typed.Position], tuple[typed.Position, ...]],
+    ),
+]
 
 
 class ParameterTable(Table):
@@ -242,17 +226,8 @@ def _deviation(field: dataclasses.Field) -> Any:
 _STDS = {f.name: _deviation(f) for f in dataclasses.fields(fields.Uncertain)}
 
 
-class UncertainTable(
-    table_of(fields.Uncertain, **_STDS)  # pyright: ignore[reportArgumentType] (a class)
-):
-    """Its keys are the fields of `Uncertain`, whose docstring explains them."""
-
-
-class ShapeTable(Table):
-    """A way in which the shape of the body may be off, see `surface_motion`."""
-
-    surface: str = Field(description='a surface group that is offset: "z_max"')
-    direction: typed.Direction | None = None
+AnyUncertain = Annotated[Maker, only(fields.Uncertain, **_STDS)]
+AnyShape = Annotated[Maker, only(surface_motion)]
 
 
 class SetupTable(Table):
