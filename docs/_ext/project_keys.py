@@ -155,8 +155,8 @@ MEANT = {
     "width": "Length of the window around `at`.",
     "name": "Loads of a name share a factor, see `load_factor`.",
     "ConfigurationTable.measured": "What was measured: markers of a file, effectors.",
-    "GravityTable.direction": "Its direction.",
-    "GravityTable.size": "Its size.",
+    "acceleration.direction": "Its direction.",
+    "acceleration.size": "Its size.",
     "MarkerEntry.position": "Position at rest.",
     "ProjectTable.material": "The law and its constants.",
     "ProjectTable.mesh": "The mesh.",
@@ -226,7 +226,7 @@ def sections() -> Iterator[Section]:
     for table in _setup._TABLES:
         yield Section(f"[[setup]], {_own_key(table)}", table)
     yield Section("[[configurations]]", _design.ConfigurationTable, (Configuration,))
-    yield Section("gravity by size", _design.GravityTable)
+    yield Section("gravity by size", table_of(_design.acceleration))
     yield Section("An entry of supports", table_of(Support))
     for load in LOADS:
         yield Section(f"An entry of loads, {load.__name__}", table_of(load))

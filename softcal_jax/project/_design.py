@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, StrictBool, StrictFloat, field_validator
 
 from softcal_jax import designs
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key, keys
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -39,6 +39,7 @@ from softcal_jax.project._table import (
     TableOr,
     WholeFile,
     WrongKeyError,
+    built,
     by_keys,
     known_name,
     only,
@@ -59,21 +60,19 @@ LoadTable = Annotated[
 ]
 
 
-class GravityTable(Table):
-    size: typed.AccelerationSize = Field(description='"9.81 m/s^2"')
-    direction: typed.Direction = Field(description='"-z", or [0, 0, -1]')
-
-    @property
-    def acceleration(self) -> typed.Triple:
-        x, y, z = (self.size * v for v in self.direction)
-        return x, y, z
+@keys(
+    size=key("m/s2", '"9.81 m/s^2"', "any"), direction=key(words='"-z", or [0, 0, -1]')
+)
+def acceleration(size: float, direction: typed.Direction) -> typed.Triple:
+    x, y, z = (size * v for v in direction)
+    return x, y, z
 
 
 class CandidateTable(Table):
     """A configuration that might be measured."""
 
     name: str = Field(description="name in results, tables and pictures")
-    gravity: TableOr[GravityTable, typed.Acceleration] = Field(
+    gravity: TableOr[Annotated[Maker, only(acceleration)], typed.Acceleration] = Field(
         description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
     )
     supports: tuple[SupportTable, ...] = ()
@@ -139,16 +138,13 @@ def build_configuration(
             known_name("effector", name, followed, "[effectors]")
             read = project.effectors[name].measured
             followed[name] = read(followed[name], value, model)
-    gravity = table.gravity
-    if isinstance(gravity, GravityTable):
-        gravity = gravity.acceleration
     reference = None if measured is None else measured.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
     configuration = Configuration(
         name=table.name,
         supports=supports,
-        gravity=gravity,
+        gravity=built(table.gravity),
         loads=loads,
         markers=seen.markers,
         measured=seen.positions,

@@ -44,44 +44,27 @@ GROUP = "softcal_jax.laws"
 _FRAME = "directions"  # key of the formula for the directions of fibres
 
 
-class Constant(NamedTuple):
-    """A constant of a material; bounds of a parameter lie `within` an open interval."""
-
-    unit: str
-    within: tuple[float, float]
-
-    @property
-    def scale(self) -> Literal["log", "linear"]:
-        """Default scale: moduli are positive, so that their steps are ratios."""
-        signed = self.within[0] < 0.0
-        return "linear" if self.unit in ("", "rad") or signed else "log"
+def _owners(key: str) -> str:
+    """Say which laws have a key that another lacks; empty if there are none."""
+    has = lambda kind: key in _recipe(kind, None).keys
+    chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
+    owners = [
+        *(f'elasticity = "{k}"' for k, kind in ELASTICITIES.items() if has(kind)),
+        *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
+    ]
+    return f" {key} belongs to {' or '.join(owners)}." if owners else ""
 
 
-def _constant(metadata: Mapping[str, Any]) -> Constant:
-    return Constant(*(metadata[key] for key in Constant._fields))
-
-
-class _OfLaw(Table):
-    @classmethod
-    def foreign(cls, key: str) -> str:
-        """Say which laws have a key that this one lacks; empty if there are none."""
-        has = lambda kind: key in _recipe(kind, None).keys
-        chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
-        owners = [
-            *(f'elasticity = "{k}"' for k, kind in ELASTICITIES.items() if has(kind)),
-            *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
-        ]
-        return f" {key} belongs to {' or '.join(owners)}." if owners else ""
-
-
-class Material(_OfLaw):
+class Material(Table):
     """The law and its constants before calibration; `material_table` adds their keys.
 
-    `makes` makes the law from a function that returns the value of a key.
+    `makes` makes the law from a function that returns the value of a key; `constants`
+    has the metadata of each, see `softcal_jax.materials.constant`.
     """
 
+    foreign: ClassVar = staticmethod(_owners)
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
-    constants: ClassVar[Mapping[str, Constant]]
+    constants: ClassVar[Mapping[str, Mapping[str, Any]]]
 
     law: str
     density: typed.Density = Field(description=DENSITY["words"])
@@ -177,19 +160,20 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     part = _part_of(law)
     recipe = _recipe(law, None if part is None else part.known[choice])
     keys: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
-    constants: dict[str, Constant] = {}
+    constants: dict[str, Mapping[str, Any]] = {}
     for key, (field, kind) in recipe.keys.items():
         if "unit" in field.metadata:
-            constants[key] = _constant(field.metadata)
+            constants[key] = field.metadata
         entry = entry_of(field, kind)
         needless = aimed and field in dataclasses.fields(Fibre) and entry.is_required()
         keys[key] = kind, 0.0 if needless else entry
     others: dict[str, Any] = {k: (keys[k][0], None) for k in constants}
     others["density"] = (typed.Density, None)
-    constants["density"] = _constant(DENSITY)
+    constants["density"] = DENSITY
     if _FRAME in recipe.keys:
         others[_FRAME] = (AnyDirections, None)
-    region = create_model("Region", __base__=_OfLaw, **others)
+    region = create_model("Region", __base__=Table, **others)
+    region.foreign = _owners
     keys["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **keys)
     table.makes, table.constants = recipe.make, constants

@@ -4,6 +4,7 @@ The last two are made from `softcal_jax.fields.KINDS`; to add a kind, write a ro
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -20,7 +21,6 @@ from softcal_jax import fields
 from softcal_jax._text import check_unique
 from softcal_jax.mesh import surface_motion
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._laws import Constant
 from softcal_jax.project._table import (
     Choice,
     Maker,
@@ -93,7 +93,7 @@ class ParameterTable(Table):
         # `field` is validated first, so it is known here unless it is wrong itself.
         constant = _constant(info)
         parsed = lambda quantity: (
-            0.0 if constant is None else typed.parse_in_si(quantity, constant.unit)
+            0.0 if constant is None else typed.parse_in_si(quantity, constant["unit"])
         )
         if not isinstance(value, dict):
             return value if info.field_name == "fixed" else parsed(value)
@@ -109,8 +109,8 @@ class ParameterTable(Table):
         constant = _constant(info)
         if constant is None:
             return None
-        if (info.data.get("scale") or constant.scale) == "linear":
-            return typed.parse_in_si(value, constant.unit)
+        if (info.data.get("scale") or constant["scale"]) == "linear":
+            return typed.parse_in_si(value, constant["unit"])
         if not typed.is_number(value):
             raise ValueError(f"got {typed.shown(value)}; it is relative, like 0.3.")
         return float(value)
@@ -136,7 +136,8 @@ class ParameterTable(Table):
     def build(self, project: WholeFile) -> fields.Entry:
         constant = type(project.material).constants[self.field]
         common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
-        common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
+        unit = constant["unit"]
+        common |= {"scale": self.scale or constant["scale"], "unit": unit}
         nominal = project.material.constant(self.field, self.region)
         sets = project.control_points
         span: dict[str, Any] = {
@@ -147,7 +148,7 @@ class ParameterTable(Table):
         if self.control_points is None:
             # An axis at -90 degrees is the same as at +90.
             half_turn = np.isclose(span["upper"] - span["lower"], np.pi)
-            span["periodic"] = constant.unit == "rad" and bool(half_turn)
+            span["periodic"] = unit == "rad" and bool(half_turn)
             return fields.Parameter(self.label, self.field, **span, **common)
         known_name("set", self.control_points, sets, "[control_points]")
         points = sets[self.control_points].build()
@@ -155,7 +156,7 @@ class ParameterTable(Table):
         for key, value in span.items():
             span[key] = _each(key, value, points.names, free, nominal)
         # +90 and -90 degrees are the same axis, so their mean is not 0.
-        usual = "director" if constant.unit == "rad" else "linear"
+        usual = "director" if unit == "rad" else "linear"
         return fields.ControlPointParameters(
             self.field,
             points,
@@ -193,8 +194,8 @@ def build_space(table: WholeFile) -> fields.ParameterSpace | None:
         return fields.ParameterSpace(tuple(entries), **between)
 
 
-def _constant(info: Any) -> Constant | None:
-    """Return the constant of a parameter; None if its field or the law is wrong."""
+def _constant(info: Any) -> Mapping[str, Any] | None:
+    """Return the metadata of a constant; None if its field or the law is wrong."""
     material = info.context.material
     return None if material is None else material.constants.get(info.data.get("field"))
 

@@ -208,8 +208,12 @@ V = TypeVar("V")
 
 
 class Table(BaseModel):
-    """A table of the file; unknown keys are errors, which list those that it has."""
+    """A table of the file; unknown keys are errors, which list those that it has.
 
+    `foreign` says where such a key belongs, in a sentence after a space.
+    """
+
+    foreign: ClassVar[Callable[[str], str]] = staticmethod(lambda key: "")
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @model_validator(mode="wrap")
@@ -235,11 +239,6 @@ class Table(BaseModel):
             return _at(key, f"missing. Expected {what}." if what else "missing.")
         known = known_here(key, cls.model_fields, "Known here")
         return _at(key, f"unknown key.{cls.foreign(key)}{known}")
-
-    @classmethod
-    def foreign(cls, key: str) -> str:
-        """Say where an unknown key belongs, in a sentence after a space."""
-        return ""
 
 
 def _at(key: str, text: str) -> InitErrorDetails:
@@ -278,16 +277,17 @@ class Maker(Table):
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments that the table gives, by the names of the fields."""
-        return {name: _built(getattr(self, key)) for name, key in self.key_of.items()}
+        return {name: built(getattr(self, key)) for name, key in self.key_of.items()}
 
     def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
         return type(self).makes(*first, **self.arguments() | more)
 
 
-def _built(value: Any) -> Any:
+def built(value: Any) -> Any:
+    """Build the object of a table, or of each in a list; keep any other value."""
     if isinstance(value, tuple):
-        return tuple(map(_built, value))
+        return tuple(map(built, value))
     return value.build() if isinstance(value, Maker) else value
 
 
