@@ -33,7 +33,13 @@ from softcal_jax.project._reading import (
 )
 from softcal_jax.project._sensors import build_effectors
 from softcal_jax.project._setup import build_space
-from softcal_jax.project._table import WrongKeyError, in_file, one_by_one, under
+from softcal_jax.project._table import (
+    WholeFile,
+    WrongKeyError,
+    in_file,
+    one_by_one,
+    under,
+)
 
 
 def load_project(
@@ -192,7 +198,7 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
         )
 
 
-def _mesh(folder: Path, table: ProjectTable | MeshTables) -> TetMesh:
+def _mesh(folder: Path, table: WholeFile) -> TetMesh:
     """Make the mesh and its groups, in the order of the file."""
     with under("mesh"):
         mesh = table.mesh.build(folder)

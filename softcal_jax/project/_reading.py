@@ -92,15 +92,20 @@ class NewtonTable(table_of(NewtonSettings, "strict_below", "max_backtracks")):
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
 
-def _keys_of(kind: type[Table], but: Set[str]) -> Any:
-    """Return fields that take any value, for all keys of a table `but` some."""
-    return {key: (Any, None) for key in kind.model_fields if key not in but}
+def _part(
+    kind: type[Table], checks: Set[str] = frozenset(), without: Set[str] = frozenset()
+) -> type[Table]:
+    """Make a table that checks only some keys of another, and may lack some."""
+    keys: dict[str, Any] = {
+        key: (field.annotation, field) if key in checks else (Any, None)
+        for key, field in kind.model_fields.items()
+        if key not in without
+    }
+    return create_model(kind.__name__, __base__=Table, **keys)
 
 
-class SharedTable(
-    create_model("Shared", __base__=Table, **_keys_of(ConfigurationTable, {"name"}))
-):
-    """The table [shared], whose values are checked in each configuration."""
+SharedTable = _part(ConfigurationTable, without={"name"})
+"""The table [shared], whose values are checked in each configuration."""
 
 
 AnyMaterial = Annotated[Material, Choice(lambda value, _: material_table(value))]
@@ -122,7 +127,7 @@ class ProjectTable(Table):
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
-    shared: SharedTable = SharedTable()
+    shared: Annotated[Table, Choice(lambda *_: SharedTable)] = SharedTable()
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     design: DesignTable = DesignTable()
@@ -146,13 +151,8 @@ class ProjectTable(Table):
         return sets
 
 
-class MeshTables(
-    create_model("Mesh", __base__=Table, **_keys_of(ProjectTable, {"mesh", "groups"}))
-):
-    """The tables of a project file that make its mesh; other tables are not read."""
-
-    mesh: MeshTable = Field(description="a table [mesh]")
-    groups: dict[str, GroupTable] = Field(default_factory=dict)
+MeshTables = _part(ProjectTable, checks={"mesh", "groups"})
+"""The tables of a project file that make its mesh; other tables are not read."""
 
 
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
