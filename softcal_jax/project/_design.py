@@ -23,7 +23,7 @@ from softcal_jax.control import Limits, with_marker_goals
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
-from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._quantities import parse_vector
 from softcal_jax.project._robot import (
     State,
     build_actuation,
@@ -319,5 +319,5 @@ def _place(text: Any) -> Float[HostArray, "3"]:
     coordinates = str(text).partition("(")[2].partition(")")[0].split(",")
     free = [coordinate.strip() == FREE for coordinate in coordinates]
     filled = re.sub(rf"(?<=[(,])\s*{FREE}\s*(?=[,)])", "0", str(text))
-    place = np.array(parse_vector(filled, LENGTH))
+    place = np.array(parse_vector(filled, "m"))
     return np.where(free, np.nan, place)

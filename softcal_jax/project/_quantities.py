@@ -21,20 +21,20 @@ class Dimension(NamedTuple):
     example: str
 
 
-LENGTH = Dimension("a length", "m", "100 mm")
-PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa")
-DENSITY = Dimension("a density", "kg/m3", "1070 kg/m^3")
-FORCE = Dimension("a force", "N", "0.51 N")
-ACCELERATION = Dimension("an acceleration", "m/s2", "9.81 m/s^2")
-TIME = Dimension("a time", "s", "1.3 s")
-ANGLE = Dimension("an angle", "rad", "20 deg")
-MASS = Dimension("a mass", "kg", "10 g")
-VOLUME = Dimension("a volume", "m3", "2 ml")
-TORQUE = Dimension("a torque", "N m", "50 N*mm")
-BEDDING = Dimension("a stiffness per area", "N/m3", "1 GPa/m")
-
-_DIMENSIONS = LENGTH, VOLUME, ANGLE, FORCE, PRESSURE, TORQUE, DENSITY, BEDDING
-_OF_UNIT = {d.si: d for d in (*_DIMENSIONS, ACCELERATION, TIME, MASS)}
+_DIMENSIONS = (
+    Dimension("a length", "m", "100 mm"),
+    Dimension("a volume", "m3", "2 ml"),
+    Dimension("an angle", "rad", "20 deg"),
+    Dimension("a force", "N", "0.51 N"),
+    Dimension("a pressure or modulus", "Pa", "200 kPa"),
+    Dimension("a torque", "N m", "50 N*mm"),
+    Dimension("a density", "kg/m3", "1070 kg/m^3"),
+    Dimension("a stiffness per area", "N/m3", "1 GPa/m"),
+    Dimension("an acceleration", "m/s2", "9.81 m/s^2"),
+    Dimension("a time", "s", "1.3 s"),
+    Dimension("a mass", "kg", "10 g"),
+)
+_OF_UNIT = {dimension.si: dimension for dimension in _DIMENSIONS}
 """Dimension of each SI unit, as laws, actuators and effectors name it."""
 
 
@@ -90,7 +90,7 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         hint = suggestion(unit, common, quote='"')
         raise ValueError(f"{unknown}{hint}") from error
     si = _by_pint(dimension.si)
-    angle = dimension is not ANGLE or str(one.units) in _ANGLES
+    angle = dimension.si != "rad" or str(one.units) in _ANGLES
     if not (angle and one.is_compatible_with(si)):
         # "kP" is no slip to pint, which knows the kilopoise.
         raise ValueError(misfit + suggestion(unit, common, quote='"'))
@@ -104,25 +104,12 @@ def shown(value: Any) -> str:
 
 def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
     """Read a quantity of any dimension: one value or three, and their SI unit."""
-    for dimension in _OF_UNIT.values():
+    for unit in _OF_UNIT:
         with contextlib.suppress(ValueError):
             if _VECTOR.fullmatch(text):
-                return parse_vector(text, dimension), dimension.si
-            return (parse_scalar(text, dimension),), dimension.si
+                return parse_vector(text, unit), unit
+            return (parse_in_si(text, unit),), unit
     return None
-
-
-def parse_scalar(value: Any, dimension: Dimension) -> float:
-    """Parse a quantity like "200 kPa" into SI; errors show an example."""
-    match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
-    if match is not None and match[2]:
-        return float(match[1]) * _factor(match[2], dimension, value)
-    number = float(match[1]) if match else value
-    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
-    raise ValueError(
-        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
-        f'"{dimension.example}".'
-    )
 
 
 def parse_in_si(value: Any, unit: str) -> float:
@@ -136,19 +123,29 @@ def parse_in_si(value: Any, unit: str) -> float:
         if match is None:
             raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
         return 0.01 * float(match[1])
-    if unit:
-        return parse_scalar(value, dimension_of(unit))
-    if not is_number(value):
-        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
-    return float(value)
+    if not unit:
+        if not is_number(value):
+            raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
+        return float(value)
+    match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
+    dimension = dimension_of(unit)
+    if match is not None and match[2]:
+        return float(match[1]) * _factor(match[2], dimension, value)
+    number = float(match[1]) if match else value
+    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
+    raise ValueError(
+        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
+        f'"{dimension.example}".'
+    )
 
 
-def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
-    """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"]."""
-    unit = dimension.example.split()[-1]
-    expected = f'expected three numbers with a unit, like "(0, 0, -1) {unit}"'
+def parse_vector(value: Any, unit: str) -> tuple[float, float, float]:
+    """Parse "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"] into the SI unit."""
+    dimension = dimension_of(unit)
+    example = dimension.example.split()[-1]
+    expected = f'expected three numbers with a unit, like "(0, 0, -1) {example}"'
     if isinstance(value, list):
-        parts = [parse_scalar(part, dimension) for part in value]
+        parts = [parse_in_si(part, unit) for part in value]
     else:
         match = _VECTOR.fullmatch(value) if isinstance(value, str) else None
         if match is None:
@@ -186,8 +183,7 @@ def deviation(unit: str, *words: str) -> Callable[[Any], float | str]:
 
 def vector(unit: str, size: Size = "finite") -> Callable[[Any], tuple[float, ...]]:
     """Return a parser of vectors in a unit, each component of a size."""
-    dimension = dimension_of(unit)
-    return lambda value: _of_size(parse_vector(value, dimension), size, value)
+    return lambda value: _of_size(parse_vector(value, unit), size, value)
 
 
 _WITHIN = {

@@ -25,7 +25,7 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._quantities import (
     dimension_of,
-    parse_scalar,
+    parse_in_si,
     parse_vector,
     shown,
 )
@@ -289,8 +289,8 @@ class EffectorTable(Maker):
         if isinstance(value, MotionSource):
             raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')
         if row.n_values == 1:
-            return replace(effector, measured=parse_scalar(value, dimension))
-        return replace(effector, measured=np.array(parse_vector(value, dimension)))
+            return replace(effector, measured=parse_in_si(value, row.unit))
+        return replace(effector, measured=np.array(parse_vector(value, row.unit)))
 
 
 class BodyFrameTable(EffectorTable):
