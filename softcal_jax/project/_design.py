@@ -203,7 +203,7 @@ class DesignTable(Table):
     goal that is a tolerance off.
     """
 
-    foam: designs.Infill | Literal["none"] = "none"
+    foam: Literal[designs.Infill, "none"] = "none"
     table: File | None = None
     solid_modulus: typed.Modulus = designs.TPU
     modulus_error: typed.Share = designs.Printing().moduli

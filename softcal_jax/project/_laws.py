@@ -160,7 +160,9 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     """
     part = _part_of(law)
     of_law, make = _recipe(law, None if part is None else part.known[choice])
-    keys: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
+    keys: dict[str, Any] = {}
+    if part is not None:  # `material_table` has refused any other choice
+        keys[part.key] = (Literal[tuple(part.known)], choice)
     constants: dict[str, Mapping[str, Any]] = {}
     for key, (field, kind) in of_law.items():
         if "unit" in field.metadata:
