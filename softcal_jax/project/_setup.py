@@ -240,9 +240,6 @@ class SetupTable(Table):
 
     kind: ClassVar[fields.Kind]
 
-    limit: float | None = None
-    prior_std: float | None = None
-
     @property
     def label(self) -> str:
         return self.kind.name
@@ -284,10 +281,9 @@ def _scope(project: WholeFile, each: Each | None) -> dict[str, Any]:
 
 
 def _table(kind: fields.Kind) -> type[SetupTable]:
-    keys: dict[str, Any] = {"each": (Each, None)} if kind.each else {}
     unnamed = lambda names: kind.unnamed if kind.unnamed and names is True else names
     names = Annotated[typed.Names, BeforeValidator(unnamed)]
-    keys[kind.name] = (names if kind.noun else Literal[True], ...)
+    keys: dict[str, Any] = {kind.name: (names if kind.noun else Literal[True], ...)}
     for part in kind.parts:
         unit = "" if part.relative else part.unit
         size = Annotated[float | None, BeforeValidator(typed.scalar(unit, "positive"))]
@@ -295,6 +291,8 @@ def _table(kind: fields.Kind) -> type[SetupTable]:
         example = 'largest error looked for: "3 deg", "2 mm"'
         keys[f"{part.prefix}limit"] = (size, Field(usual, description=example))
         keys[f"{part.prefix}prior_std"] = (size, None)
+    if kind.each:
+        keys["each"] = (Each, None)
     table = create_model("Setup", __base__=SetupTable, **keys)
     table.kind = kind
     return table
