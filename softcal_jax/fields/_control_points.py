@@ -46,7 +46,7 @@ class ControlPoints(Module):
 
     Raises:
         ValueError: If a position is not three finite numbers, two coincide, names
-            repeat, or an option is out of its range.
+            repeat or are given twice, or an option is out of its range.
     """
 
     positions: Float[Array, "n_cp 3"] = eqx.field(

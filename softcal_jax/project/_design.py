@@ -61,7 +61,8 @@ LoadTable = Annotated[
 
 
 @keys(
-    size=key("m/s2", '"9.81 m/s^2"', "any"), direction=key(words='"-z", or [0, 0, -1]')
+    size=key("m/s2", 'its size: "9.81 m/s^2"', "any"),
+    direction=key(words='its direction: "-z" or [0, 0, -1]'),
 )
 def acceleration(size: float, direction: typed.Direction) -> typed.Triple:
     x, y, z = (size * v for v in direction)

@@ -191,7 +191,7 @@ def _along(mesh: TetMesh, tets: HostArray, data: TetData, axis: Vector) -> Frame
 
 @keys(
     axis=key("", 'direction of the axis: "z" or [0, 0, 1]'),
-    through=key("m"),
+    through=key("m", "a point of the axis"),
     kind=key(key="type"),
 )
 def _around(
