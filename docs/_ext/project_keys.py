@@ -29,7 +29,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import SHAPES
 from softcal_jax.equilibrium import build_model
-from softcal_jax.exchange.cad import mesh_cad
 from softcal_jax.exchange.camera import tag_pose
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -72,6 +71,8 @@ for all that do not give them themselves.
 <!-- Written by `python docs/_ext/project_keys.py`. -->
 """
 
+_FILE = "The file, relative to the project file."
+
 MEANT = {
     "actuators": "Actuators, by name.",
     "after_event": "The event of the file from which times count.",
@@ -97,7 +98,7 @@ MEANT = {
     "element": "Kind of the tets.",
     "elevation": "Angle of a tracker about y.",
     "face": "The face of the body around each of some points.",
-    "file": "The file, relative to the project file.",
+    "file": _FILE,
     "foam": "What is printed; without one, moduli are free within their bounds.",
     "format": "How the file is written.",
     "goal": "Goals of markers and effectors, in place of `measured`.",
@@ -143,14 +144,15 @@ MEANT = {
     "MarkerEntry.std": "Standard deviation of this marker.",
     "MarkersTable.positions": "Positions at rest, by name.",
     "MarkersTable.std": "Standard deviation of a marker; 1 mm only weighs them.",
-    "CadMeshTable.size": "Longest edges of the tets that gmsh aims at.",
+    "read_mesh.file": _FILE,
+    "mesh_cad.file": _FILE,
+    "mesh_cad.size": "Longest edges of the tets that gmsh aims at.",
     "stop_at": "Surface groups at which the surface ends.",
     "table": "A table of moduli of your foam.",
     "tolerance": "Distance that still counts; by default a millionth of the mesh.",
     "turn_limit": "Largest rotation looked for; three more parameters.",
     "turn_prior_std": "Standard deviation of the prior of the rotation.",
     "uncertain": "How well everything is known that is not calibrated.",
-    "unused_nodes": "What to do with nodes that no cell uses.",
     "width": "Length of the window around `at`.",
     "name": "Loads of a name share a factor, see `load_factor`.",
     "ConfigurationTable.measured": "What was measured: markers of a file, effectors.",
@@ -187,9 +189,9 @@ class Section(NamedTuple):
 def sections() -> Iterator[Section]:
     """List the tables, in the order in which a file has them."""
     yield Section("The file", _reading.ProjectTable)
-    yield Section("[mesh], a mesh file", _robot.MeshFileTable, (mesh.read_mesh,))
-    yield Section("[mesh], a CAD model", _robot.CadMeshTable, (mesh_cad,))
-    yield Section("[mesh], a box", _robot.BeamMeshTable)
+    yield Section("[mesh], a mesh file", _robot.MESH_FILE)
+    yield Section("[mesh], a CAD model", _robot.CAD_MODEL)
+    yield Section("[mesh], a box", _robot.BOX)
     yield Section("beam in [mesh]", _robot.BeamTable, (mesh.beam,))
     yield Section("[groups.NAME]", _robot.GroupTable)
     for key, field in _robot.GroupTable.model_fields.items():

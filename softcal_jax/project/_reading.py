@@ -32,7 +32,7 @@ from softcal_jax.project._design import CandidateTable, ConfigurationTable, Desi
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
+from softcal_jax.project._robot import AnyActuator, AnyMesh, BodyTable, GroupTable
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
     AnyControlPoints,
@@ -115,7 +115,7 @@ class ProjectTable(Table):
     """A whole project file."""
 
     name: str = Field(description="name of the project")
-    mesh: MeshTable = Field(description="a table [mesh]")
+    mesh: AnyMesh = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
     shapes: dict[str, AnyShape] = Field(default_factory=dict)
     material: AnyMaterial = Field(description="a table [material]")

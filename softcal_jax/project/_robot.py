@@ -1,8 +1,7 @@
 """Tables of a project file for the robot: mesh, groups, fibres, bodies, actuators."""
 
 import contextlib
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -44,48 +43,24 @@ from softcal_jax.project._table import (
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
 
-class _MeshTable(Table):
+class MeshTable(Maker):
+    """A mesh: of a mesh file, of a CAD model, or of a box."""
+
     element: Literal["quadratic", "linear"] = "quadratic"
 
-    @property
-    def order(self) -> int:
-        return 2 if self.element == "quadratic" else 1
-
-    @abstractmethod
     def build(self, folder: Path) -> TetMesh:
         """Make the mesh; what is costly to make is kept in `folder`."""
+        kept = {"kept_in": folder} if self.makes is mesh_cad else {}
+        return super().build(order=2 if self.element == "quadratic" else 1, **kept)
 
     def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of a mesh file with values for each tet."""
-        raise ValueError(
-            f"there is no mesh file to read {name!r} from. Take "
-            'type = "along", "hoop" or "helix", or a mesh of a file.'
-        )
-
-
-class MeshFileTable(_MeshTable):
-    file: File = Field(description='a mesh file: "robot.msh"')
-    length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
-    unused_nodes: Literal["error", "drop"] = "error"
-    parts: Literal["one", "linked"] = "one"
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.model_dump(include={"length_unit", "parts"})
-        options |= {"order": self.order, "unused": self.unused_nodes}
-        return meshes.read_mesh(self.file, **options)
-
-    def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
-        return meshes.read_tet_data(self.file, name)
-
-
-class CadMeshTable(_MeshTable):
-    file: File = Field(description='a CAD model: "finger.step" or "finger.stl"')
-    size: typed.PositiveLength = Field(description='length of its edges: "3 mm"')
-    length_unit: LengthUnit | None = None
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.model_dump(include={"size", "length_unit"})
-        return mesh_cad(self.file, order=self.order, kept_in=folder, **options)
+        if self.makes is not meshes.read_mesh:
+            raise ValueError(
+                f"there is no mesh file to read {name!r} from. Take "
+                'type = "along", "hoop" or "helix", or a mesh of a file.'
+            )
+        return meshes.read_tet_data(vars(self)["file"], name)
 
 
 class BeamTable(Table):
@@ -99,24 +74,33 @@ class BeamTable(Table):
     pattern: Literal["mirrored", "centred"] = "mirrored"
 
 
-class BeamMeshTable(_MeshTable):
-    beam: BeamTable
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.beam.model_dump(exclude={"size"})
-        return meshes.beam(*self.beam.size, order=self.order, **options)
+@keys(beam=key())
+def _box(beam: BeamTable, order: int) -> TetMesh:
+    return meshes.beam(*beam.size, order=order, **beam.model_dump(exclude={"size"}))
 
 
-def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+MESH_FILE = table_of(
+    meshes.read_mesh,
+    base=MeshTable,
+    path=File,
+    length_unit=LengthUnit,
+    unused=Literal["error", "drop"],
+    parts=Literal["one", "linked"],
+)
+CAD_MODEL = table_of(mesh_cad, base=MeshTable, path=File, length_unit=LengthUnit)
+BOX = table_of(_box, base=MeshTable)
+
+
+def _mesh_kind(value: Any, _: Any) -> type[BaseModel]:
     """Choose a table of a mesh; a CAD model is known by its file extension."""
     file = value.get("file") if isinstance(value, dict) else None
     if file is None:
-        return by_keys(value, kinds)
+        return by_keys(value, (MESH_FILE, CAD_MODEL, BOX))
     is_cad = Path(str(file)).suffix.lower() in CAD_FORMATS
-    return CadMeshTable if is_cad else MeshFileTable
+    return CAD_MODEL if is_cad else MESH_FILE
 
 
-MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh_kind)]
+AnyMesh = Annotated[MeshTable, Choice(_mesh_kind)]
 
 
 _Points = Annotated[tuple[typed.Position, ...], Field(min_length=1)]

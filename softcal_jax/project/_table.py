@@ -281,7 +281,7 @@ class Maker(Table):
 
     def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
-        return type(self).makes(*first, **self.arguments() | more)
+        return self.makes(*first, **self.arguments() | more)
 
 
 def built(value: Any) -> Any:
@@ -309,7 +309,8 @@ def table_of(
             annotation = by_hand.get(name) or type_of(hint, field.metadata)
             keys[key] = annotation, entry_of(field, annotation)
     table = create_model(makes.__name__, __base__=base, **keys)
-    table.makes, table.key_of = makes, names
+    # Static, so that a function is no method of the table.
+    table.makes, table.key_of = staticmethod(makes), names
     return table
 
 
