@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StrictBool, StrictFloat, field_validator
+from pydantic import Field, StrictBool, StrictFloat, field_validator
 
 from softcal_jax import designs
 from softcal_jax._module import Module, key, keys
@@ -50,9 +50,7 @@ from softcal_jax.project._table import (
 _Name = Annotated[str, Field(min_length=1)]
 
 
-RelativeStd = Annotated[
-    float | Literal["estimated"], BeforeValidator(typed.deviation("%", "estimated"))
-]
+RelativeStd = Annotated[float | Literal["estimated"], typed.deviation("%", "estimated")]
 SupportTable = Annotated[Maker, only(Support)]
 LoadTable = Annotated[
     Maker,

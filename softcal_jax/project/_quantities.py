@@ -3,7 +3,8 @@
 import contextlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator
@@ -112,34 +113,56 @@ def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
     return None
 
 
-def parse_in_si(value: Any, unit: str) -> float:
+_WITHIN = {
+    "any": (lambda x: True, ""),
+    "finite": (math.isfinite, ""),
+    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
+    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
+}
+
+
+def _check_size(numbers: Sequence[float], size: Size, value: Any) -> None:
+    """Raise ValueError unless numbers are of a size; `value` is what was typed."""
+    within, words = _WITHIN[size]
+    if not all(map(within, numbers)):
+        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
+
+
+def parse_in_si(value: Any, unit: str, size: Size = "any") -> float:
     """Parse "200 kPa" into the SI unit: "%" for a share, "" for a plain number.
 
     Raises:
         ValueError: If it is not such a value; the text shows an example.
     """
+    text = value if isinstance(value, str) else ""
     if unit == "%":
-        match = _SHARE.fullmatch(value) if isinstance(value, str) else None
+        match = _SHARE.fullmatch(text)
         if match is None:
             raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
-        return 0.01 * float(match[1])
-    if not unit:
+        number = 0.01 * float(match[1])
+    elif not unit:
         if not is_number(value):
             raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
-        return float(value)
-    match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
-    dimension = dimension_of(unit)
-    if match is not None and match[2]:
-        return float(match[1]) * _factor(match[2], dimension, value)
-    number = float(match[1]) if match else value
-    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
-    raise ValueError(
-        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
-        f'"{dimension.example}".'
-    )
+        number = float(value)
+    else:
+        match, dimension = _SCALAR.fullmatch(text), dimension_of(unit)
+        if match is None or not match[2]:
+            bare = float(match[1]) if match else value
+            got = f"got {shown(value)}"
+            if is_number(bare):
+                got = f"{bare:.15g} has no unit"
+            raise ValueError(
+                f"{got}; expected {dimension.name}, in quotes and with its unit, like "
+                f'"{dimension.example}".'
+            )
+        number = float(match[1]) * _factor(match[2], dimension, text)
+    _check_size([number], size, value)
+    return number
 
 
-def parse_vector(value: Any, unit: str) -> tuple[float, float, float]:
+def parse_vector(
+    value: Any, unit: str, size: Size = "any"
+) -> tuple[float, float, float]:
     """Parse "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"] into the SI unit."""
     dimension = dimension_of(unit)
     example = dimension.example.split()[-1]
@@ -160,46 +183,31 @@ def parse_vector(value: Any, unit: str) -> tuple[float, float, float]:
         parts = [float(number) * factor for number in numbers]
     if len(parts) != 3:
         raise ValueError(f"got {len(parts)} numbers; {expected}.")
+    _check_size(parts, size, value)
     x, y, z = parts
     return x, y, z
 
 
-def scalar(unit: str, size: Size = "any") -> Callable[[Any], float]:
-    """Return a parser of quantities like those of `parse_in_si`, of a size."""
-    return lambda value: _of_size((parse_in_si(value, unit),), size, value)[0]
+def scalar(unit: str, size: Size = "any") -> BeforeValidator:
+    """Mark a type that is read as a quantity in a unit, of a size."""
+    return BeforeValidator(partial(parse_in_si, unit=unit, size=size))
 
 
-def deviation(unit: str, *words: str) -> Callable[[Any], float | str]:
-    """Return a parser of sizes in a unit, or of `words`; zero needs no unit."""
-    parse = scalar(unit, "not negative")
+def vector(unit: str, size: Size = "finite") -> BeforeValidator:
+    """Mark a type that is read as a vector in a unit, each component of a size."""
+    return BeforeValidator(partial(parse_vector, unit=unit, size=size))
+
+
+def deviation(unit: str, *words: str) -> BeforeValidator:
+    """Mark a type that is read as a size or as one of `words`; zero needs no unit."""
 
     def parsed(value: Any) -> float | str:
         if value in words:
             return value
-        return 0.0 if is_number(value) and value == 0 else parse(value)
+        zero = is_number(value) and value == 0
+        return 0.0 if zero else parse_in_si(value, unit, "not negative")
 
-    return parsed
-
-
-def vector(unit: str, size: Size = "finite") -> Callable[[Any], tuple[float, ...]]:
-    """Return a parser of vectors in a unit, each component of a size."""
-    return lambda value: _of_size(parse_vector(value, unit), size, value)
-
-
-_WITHIN = {
-    "any": (lambda x: True, ""),
-    "finite": (math.isfinite, ""),
-    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
-    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
-}
-
-
-def _of_size(numbers: tuple[float, ...], size: Size, value: Any) -> tuple[float, ...]:
-    """Return numbers that must be of a size; `value` is what was typed."""
-    within, words = _WITHIN[size]
-    if not all(map(within, numbers)):
-        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
-    return numbers
+    return BeforeValidator(parsed)
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
@@ -221,17 +229,17 @@ def parse_direction(value: Any) -> tuple[float, float, float]:
 
 Triple = tuple[float, float, float]
 
-Length = Annotated[float, BeforeValidator(scalar("m", "not negative"))]
-PositiveLength = Annotated[float, BeforeValidator(scalar("m", "positive"))]
-Density = Annotated[float, BeforeValidator(scalar("kg/m3", "not negative"))]
-Modulus = Annotated[float, BeforeValidator(scalar("Pa", "positive"))]
-Angle = Annotated[float, BeforeValidator(scalar("rad"))]
-Time = Annotated[float, BeforeValidator(scalar("s"))]
-Share = Annotated[float, BeforeValidator(deviation("%"))]
-Position = Annotated[Triple, BeforeValidator(vector("m"))]
-Extent = Annotated[Triple, BeforeValidator(vector("m", "positive"))]
-Acceleration = Annotated[Triple, BeforeValidator(vector("m/s2"))]
-RotationVector = Annotated[Triple, BeforeValidator(vector("rad"))]
+Length = Annotated[float, scalar("m", "not negative")]
+PositiveLength = Annotated[float, scalar("m", "positive")]
+Density = Annotated[float, scalar("kg/m3", "not negative")]
+Modulus = Annotated[float, scalar("Pa", "positive")]
+Angle = Annotated[float, scalar("rad")]
+Time = Annotated[float, scalar("s")]
+Share = Annotated[float, deviation("%")]
+Position = Annotated[Triple, vector("m")]
+Extent = Annotated[Triple, vector("m", "positive")]
+Acceleration = Annotated[Triple, vector("m/s2")]
+RotationVector = Annotated[Triple, vector("rad")]
 Direction = Annotated[Triple, BeforeValidator(parse_direction)]
 
 Names = Annotated[

@@ -273,7 +273,7 @@ class EffectorTable(Maker):
         if not isinstance(std, str):
             return effector
         with under("std"):
-            return replace(effector, std=typed.scalar(unit, "positive")(std))
+            return replace(effector, std=parse_in_si(std, unit, "positive"))
 
     def measured(self, effector: Any, value: Any, model: Model) -> AbstractEffector:
         """Return the effector with its measured value."""

@@ -221,7 +221,7 @@ def _deviation(field: dataclasses.Field) -> Any:
     if not unit:
         return Annotated[StrictFloat, Field(ge=0, allow_inf_nan=False)]
     words = () if kind is float else ("estimated",)
-    return Annotated[kind, BeforeValidator(typed.deviation(unit, *words))]
+    return Annotated[kind, typed.deviation(unit, *words)]
 
 
 _STDS = {f.name: _deviation(f) for f in dataclasses.fields(fields.Uncertain)}
@@ -286,7 +286,7 @@ def _table(kind: fields.Kind) -> type[SetupTable]:
     keys: dict[str, Any] = {kind.name: (names if kind.noun else Literal[True], ...)}
     for part in kind.parts:
         unit = "" if part.relative else part.unit
-        size = Annotated[float | None, BeforeValidator(typed.scalar(unit, "positive"))]
+        size = Annotated[float | None, typed.scalar(unit, "positive")]
         usual = None if len(kind.parts) > 1 else kind.limit if kind.relative else ...
         example = 'largest error looked for: "3 deg", "2 mm"'
         keys[f"{part.prefix}limit"] = (size, Field(usual, description=example))

@@ -362,10 +362,9 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
     if not unit:
         axes = {"3": typed.Direction, "3 3": tuple[(typed.Direction,) * 3]}
         return axes.get(shape, StrictFloat)
-    result, parser = float, typed.scalar
     if shape == "3":
-        result, parser = typed.Triple, typed.vector
-    return Annotated[result, BeforeValidator(parser(unit, metadata["size"]))]
+        return Annotated[typed.Triple, typed.vector(unit, metadata["size"])]
+    return Annotated[float, typed.scalar(unit, metadata["size"])]
 
 
 def _first(hint: Any) -> Any:
