@@ -92,7 +92,7 @@ class NewtonTable(table_of(NewtonSettings, "strict_below", "max_backtracks")):
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
 
-def _part(
+def _relaxed(
     kind: type[Table], checks: Set[str] = frozenset(), without: Set[str] = frozenset()
 ) -> type[Table]:
     """Make a table that checks only some keys of another, and may lack some."""
@@ -104,7 +104,7 @@ def _part(
     return create_model(kind.__name__, __base__=Table, **keys)
 
 
-SharedTable = _part(ConfigurationTable, without={"name"})
+SharedTable = _relaxed(ConfigurationTable, without={"name"})
 """The table [shared], whose values are checked in each configuration."""
 
 
@@ -151,7 +151,7 @@ class ProjectTable(Table):
         return sets
 
 
-MeshTables = _part(ProjectTable, checks={"mesh", "groups"})
+MeshTables = _relaxed(ProjectTable, checks={"mesh", "groups"})
 """The tables of a project file that make its mesh; other tables are not read."""
 
 
