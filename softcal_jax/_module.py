@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from inspect import cleandoc
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -50,6 +50,19 @@ def key(
     """
     quantity = {} if unit is None else {"unit": unit, "size": size}
     return {"words": words, **quantity, **more}
+
+
+Function = TypeVar("Function", bound=Callable)
+
+
+def keys(**metadata: Mapping[str, Any]) -> Callable[[Function], Function]:
+    """Offer arguments of a function to project files, each with metadata of `key`."""
+
+    def offered(function: Any) -> Any:
+        function.keys = metadata
+        return function
+
+    return offered
 
 
 class Module(eqx.Module):

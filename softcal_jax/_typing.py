@@ -1,5 +1,6 @@
 """Array annotations of the whole package, and what is known of a value."""
 
+from collections.abc import Sequence
 from types import ModuleType
 
 import jax
@@ -7,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import Bool, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 from numpy import ndarray
 
 HostArray = ndarray  # A NumPy array on the host: meshing, reading, plotting
+Vector = Sequence[float] | Float[ArrayLike, "3"]  # Three numbers, as a user types them
 
 
 def is_traced(value: object) -> bool:
@@ -36,5 +38,5 @@ def numpy_of(*values: object) -> ModuleType:
     return jnp if any(map(is_traced, jax.tree.leaves(values))) else np
 
 
-__all__ = ["Array", "Bool", "Float", "HostArray", "Int"]
+__all__ = ["Array", "Bool", "Float", "HostArray", "Int", "Vector"]
 __all__ += ["check_untraced", "is_traced", "numpy_of"]

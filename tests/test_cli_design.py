@@ -214,7 +214,11 @@ def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
         ("0 N to 6 N", "0 N to 6 mm", "limits.cable ... different kinds"),
         ("limits = { cable", "limits = { cabel", "limits.cabel ... cable"),
         ("[design]", "[design]\nlargest_stretch = 0.9", "design ... above 1 ... 0.9"),
-        ('foam = "Polyfoam"', 'foam = "Polyfaom"', "design.foam"),
+        (
+            'foam = "Polyfoam"',
+            'foam = "Polyfaom"',
+            'design.foam: got "Polyfaom" ... "none" ... mean "Polyfoam"',
+        ),
         ('foam = "Polyfoam"', 'foam = "Phasor"', "no moduli of Phasor ... table"),
         ('foam = "Polyfoam"', 'solid_modulus = "9 MPa"', "solid_modulus ... foam"),
         (

@@ -15,7 +15,7 @@ from softcal_jax.exchange.proposal._body import read_body
 from softcal_jax.identifiability import assess
 from softcal_jax.mesh import TetMesh, beam, face_areas, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._quantities import parse_vector
 from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
@@ -372,7 +372,7 @@ def test_cavities_and_long_holes_of_a_cad_model_are_actuated(tmp_path, capsys):
     assert says(remarks["[groups.air_opening]"], "opens (face 1)")
     assert says(remarks["surface"], "open cavity (faces")
     actuators = tomllib.loads(project.path.read_text())["actuators"]
-    guides = [parse_vector(guide, LENGTH) for guide in actuators["cable"]["guides"]]
+    guides = [parse_vector(guide, "m") for guide in actuators["cable"]["guides"]]
     x, *across = 1e3 * np.transpose(guides)
     np.testing.assert_allclose(across, np.repeat([[7.0], [3.0]], len(x), 1), atol=0.01)
     np.testing.assert_allclose(sorted(x)[:: len(x) - 1], [1.0, 59.0], atol=0.05)

@@ -29,14 +29,11 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.contact import SHAPES
 from softcal_jax.equilibrium import build_model
-from softcal_jax.exchange.cad import mesh_cad
 from softcal_jax.exchange.camera import tag_pose
 from softcal_jax.fields import (
     ControlPointParameters,
-    ControlPoints,
     Parameter,
     ParameterSpace,
-    Uncertain,
 )
 from softcal_jax.materials import ELASTICITIES, LAWS
 from softcal_jax.project import (
@@ -74,6 +71,8 @@ for all that do not give them themselves.
 <!-- Written by `python docs/_ext/project_keys.py`. -->
 """
 
+_FILE = "The file, relative to the project file."
+
 MEANT = {
     "actuators": "Actuators, by name.",
     "after_event": "The event of the file from which times count.",
@@ -99,7 +98,7 @@ MEANT = {
     "element": "Kind of the tets.",
     "elevation": "Angle of a tracker about y.",
     "face": "The face of the body around each of some points.",
-    "file": "The file, relative to the project file.",
+    "file": _FILE,
     "foam": "What is printed; without one, moduli are free within their bounds.",
     "format": "How the file is written.",
     "goal": "Goals of markers and effectors, in place of `measured`.",
@@ -145,20 +144,18 @@ MEANT = {
     "MarkerEntry.std": "Standard deviation of this marker.",
     "MarkersTable.positions": "Positions at rest, by name.",
     "MarkersTable.std": "Standard deviation of a marker; 1 mm only weighs them.",
-    "CadMeshTable.size": "Longest edges of the tets that gmsh aims at.",
+    "read_mesh.file": _FILE,
+    "mesh_cad.file": _FILE,
+    "mesh_cad.size": "Longest edges of the tets that gmsh aims at.",
     "stop_at": "Surface groups at which the surface ends.",
     "table": "A table of moduli of your foam.",
-    "through": "A point of the axis.",
     "tolerance": "Distance that still counts; by default a millionth of the mesh.",
     "turn_limit": "Largest rotation looked for; three more parameters.",
     "turn_prior_std": "Standard deviation of the prior of the rotation.",
     "uncertain": "How well everything is known that is not calibrated.",
-    "unused_nodes": "What to do with nodes that no cell uses.",
     "width": "Length of the window around `at`.",
     "name": "Loads of a name share a factor, see `load_factor`.",
     "ConfigurationTable.measured": "What was measured: markers of a file, effectors.",
-    "GravityTable.direction": "Its direction.",
-    "GravityTable.size": "Its size.",
     "MarkerEntry.position": "Position at rest.",
     "ProjectTable.material": "The law and its constants.",
     "ProjectTable.mesh": "The mesh.",
@@ -192,19 +189,20 @@ class Section(NamedTuple):
 def sections() -> Iterator[Section]:
     """List the tables, in the order in which a file has them."""
     yield Section("The file", _reading.ProjectTable)
-    yield Section("[mesh], a mesh file", _robot.MeshFileTable, (mesh.read_mesh,))
-    yield Section("[mesh], a CAD model", _robot.CadMeshTable, (mesh_cad,))
-    yield Section("[mesh], a box", _robot.BeamMeshTable)
+    yield Section("[mesh], a mesh file", _robot.MESH_FILE)
+    yield Section("[mesh], a CAD model", _robot.CAD_MODEL)
+    yield Section("[mesh], a box", _robot.BOX)
     yield Section("beam in [mesh]", _robot.BeamTable, (mesh.beam,))
     yield Section("[groups.NAME]", _robot.GroupTable)
     for key, field in _robot.GroupTable.model_fields.items():
         for table in get_args(field.annotation):
             if isinstance(table, type) and issubclass(table, Table):
                 yield Section(f"{key} in [groups.NAME]", table)
-    yield Section("[shapes.NAME]", _setup.ShapeTable, (mesh.surface_motion,))
+    yield Section("[shapes.NAME]", table_of(mesh.surface_motion))
     yield Section("[material]", Material, (build_model,))
     yield from _laws()
-    for name, table in _robot.DIRECTIONS.items():
+    for name in _robot.DIRECTIONS:
+        table = _of_type(_robot.AnyDirections, name)
         yield Section(f'directions in [material], type = "{name}"', table)
     yield Section("[bodies.NAME]", _robot.BodyTable)
     yield Section("mounting in [bodies.NAME]", table_of(Pose))
@@ -220,14 +218,14 @@ def sections() -> Iterator[Section]:
         yield Section(f'[effectors.NAME], type = "{name}"', table)
     yield Section("[markers]", MarkersTable)
     yield Section("A marker with its own std", MarkerEntry)
-    yield Section("[control_points.NAME]", _setup.ControlPointsTable, (ControlPoints,))
+    yield Section("[control_points.NAME]", _of_type(_setup.AnyControlPoints))
     several = Parameter, ControlPointParameters
     yield Section("[[parameters]]", _setup.ParameterTable, several)
     yield Section("[parameter_space]", _setup.ParameterSpaceTable, (ParameterSpace,))
     for table in _setup._TABLES:
         yield Section(f"[[setup]], {_own_key(table)}", table)
     yield Section("[[configurations]]", _design.ConfigurationTable, (Configuration,))
-    yield Section("gravity by size", _design.GravityTable)
+    yield Section("gravity by size", table_of(_design.acceleration))
     yield Section("An entry of supports", table_of(Support))
     for load in LOADS:
         yield Section(f"An entry of loads, {load.__name__}", table_of(load))
@@ -242,12 +240,12 @@ def sections() -> Iterator[Section]:
     yield Section("displacement_from of photographs", _sensors.EarlierPhotosTable)
     yield Section("base of a frame", _sensors.FrameTable)
     yield Section("[design]", _design.DesignTable)
-    yield Section("[uncertain]", _setup.UncertainTable, (Uncertain,))
+    yield Section("[uncertain]", _of_type(_setup.AnyUncertain))
     yield Section("[settings]", _reading.SettingsTable, (Project,))
     yield Section("[newton]", _reading.NewtonTable, (build_model,))
 
 
-def _of_type(annotation: Any, name: str) -> type[Table]:
+def _of_type(annotation: Any, name: str = "") -> type[Table]:
     (choice,) = annotation.__metadata__
     return choice.choose({"type": name}, ())
 

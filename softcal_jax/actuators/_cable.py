@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal_jax._module import Module, key
 from softcal_jax._text import check_known
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray, Vector
 from softcal_jax.actuators._actuator import (
     OUTSIDE,
     AbstractActuator,
@@ -21,7 +21,7 @@ from softcal_jax.actuators._actuator import (
     RestState,
     owned,
 )
-from softcal_jax.bodies import Vector, as_floats, three_numbers
+from softcal_jax.bodies import as_floats, three_numbers
 from softcal_jax.elements import vector_length
 from softcal_jax.mesh import locate, ring_around
 

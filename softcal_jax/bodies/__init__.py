@@ -12,7 +12,6 @@ from softcal_jax.bodies._body import (
     BodyState as BodyState,
     Pose as Pose,
     RigidBody as RigidBody,
-    Vector as Vector,
     as_floats as as_floats,
     hinge_axes as hinge_axes,
     optional as optional,

@@ -9,12 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module, if_any, key
 from softcal_jax._text import check_known
-from softcal_jax._typing import Float, HostArray, Int, check_untraced
+from softcal_jax._typing import Float, HostArray, Int, Vector, check_untraced
 from softcal_jax.contact import AbstractShape
-
-Vector = Sequence[float] | Float[ArrayLike, "3"]
-"""Three numbers, as a user types them."""
-
 
 _SOME_LEAF = "its leaf of a lane or of the model"
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._lanes import unstacked
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key
 from softcal_jax._text import check_known, parse_axes
 from softcal_jax._typing import Array, Float, HostArray, is_traced, numpy_of
 from softcal_jax._units import readable_values
@@ -46,19 +46,32 @@ class ControlPoints(Module):
 
     Raises:
         ValueError: If a position is not three finite numbers, two coincide, names
-            repeat, or an option is out of its range.
+            repeat or are given twice, or an option is out of its range.
     """
 
-    positions: Float[Array, "n_cp 3"] = eqx.field(converter=as_values)
+    positions: Float[Array, "n_cp 3"] = eqx.field(
+        converter=as_values,
+        metadata=key(
+            words='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list of '
+            "positions"
+        ),
+    )
     names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
-    power: float = eqx.field(static=True, default=2.0, converter=float)
+    power: float = eqx.field(
+        static=True, default=2.0, converter=float, metadata=key("")
+    )
     nearest: int | None = eqx.field(static=True, default=None)
     axes: str = eqx.field(static=True, default="xyz")
-    max_distance: float | None = eqx.field(static=True, default=None)
+    max_distance: float | None = eqx.field(
+        static=True, default=None, metadata=key("m", size="not negative")
+    )
 
     def __post_init__(self):
         given: Any = self.positions
-        if not isinstance(given, Mapping):
+        if isinstance(given, Mapping):
+            if self.names:
+                raise ValueError("`positions` names its points: leave `names` out.")
+        else:
             every = enumerate(np.asarray(given, float), start=1)
             given = {f"CP {i}": x for i, x in every}
         if not given:

@@ -87,8 +87,11 @@ def constant(
     if kind is None:
         kind = ANGLE if unit == "rad" else UNREMARKABLE
     above = "not negative" if may_vanish else "positive"
-    size = "finite" if within[0] < 0.0 else above
-    return key(unit, words, size, kind=kind, within=within)
+    signed = within[0] < 0.0
+    size = "finite" if signed else above
+    # Moduli are positive, so that steps of their parameters are ratios.
+    scale = "linear" if signed or unit in ("", "rad") else "log"
+    return key(unit, words, size, kind=kind, within=within, scale=scale)
 
 
 POISSON = ConstantKind("nu", most=0.5, locks=0.49, asked=0.5)

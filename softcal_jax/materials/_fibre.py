@@ -1,6 +1,5 @@
 """Direction of a fibre in the rest shape, one for the body or one per tet."""
 
-from collections.abc import Sequence
 from typing import Literal, get_args
 
 import equinox as eqx
@@ -10,7 +9,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module, if_any
 from softcal_jax._text import check_known
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray, Vector
 from softcal_jax._units import readable_values
 from softcal_jax.materials._constants import (
     Constant,
@@ -22,8 +21,6 @@ from softcal_jax.materials._constants import (
 )
 
 Plane = Literal["xy", "xz", "yz"]
-Vector = HostArray | Sequence
-"""Three numbers, as a user types them."""
 
 _ON_AXIS = 1e-9
 """Distance from an axis that counts as none, over that of the farthest point [-]."""

@@ -4,10 +4,11 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import cg
 
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._module import key, keys
+from softcal_jax._typing import Float, HostArray, Int, Vector
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.mesh._surfaces import SHARP
-from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
+from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     area_normals,
     boundary_faces,
@@ -16,8 +17,9 @@ from softcal_jax.mesh._topology import (
 )
 
 
+@keys(surface=key(words='a surface group that is offset: "z_max"'), direction=key(""))
 def surface_motion(
-    mesh: TetMesh, surface: str, direction: ArrayData | None = None
+    mesh: TetMesh, surface: str, direction: Vector | None = None
 ) -> Float[HostArray, "n_nodes 3"]:
     """Return how all nodes move per metre by which a surface is offset [-].
 

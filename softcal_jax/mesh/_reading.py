@@ -17,6 +17,7 @@ import numpy as np
 
 from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file
+from softcal_jax._module import key, keys
 from softcal_jax._places import TETS, LimitError
 from softcal_jax._text import SoftcalWarning, check_known, escaped, unknown_name
 from softcal_jax._typing import Float, HostArray
@@ -70,6 +71,12 @@ _OTHERS = ("line", "line3", "vertex")  # cells of which groups keep the nodes al
 _MIRRORED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
 
 
+@keys(
+    path=key(words='a mesh file: "robot.msh"', key="file"),
+    length_unit=key(words='the length unit of the file: "mm"'),
+    unused=key(key="unused_nodes"),
+    parts=key(),
+)
 def read_mesh(
     path: str | os.PathLike[str],
     *,
@@ -240,13 +247,13 @@ def _with_groups(
     all_faces = tet_faces(mesh.tets)
     corners = np.sort(all_faces[:, :3], axis=1).tolist()
     position = {tuple(face): where for where, face in enumerate(corners)}
-    for key in {**sets, **raw.point_sets}:
-        name = escaped(key)
-        members = {k: of for k, of in sets.get(key, {}).items() if k in kinds}
+    for label in {**sets, **raw.point_sets}:
+        name = escaped(label)
+        members = {k: of for k, of in sets.get(label, {}).items() if k in kinds}
         used = {kind: index[cells[kind][of]] for kind, of in members.items()}
         nodes = np.concatenate([np.empty(0, int), *map(np.ravel, used.values())])
-        if key in raw.point_sets:  # also where a set of elements is called the same
-            nodes = index[np.asarray(raw.point_sets[key], int)]
+        if label in raw.point_sets:  # also where a set of elements is called the same
+            nodes = index[np.asarray(raw.point_sets[label], int)]
         nodes = np.unique(nodes[nodes >= 0])
         if not nodes.size:
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
@@ -258,8 +265,8 @@ def _with_groups(
         if triangles:
             # Of either orientation; `all_faces` have mid nodes and outward normals.
             corners = np.sort(np.concatenate(triangles), axis=1).tolist()
-            keys = dict.fromkeys(map(tuple, corners))
-            faces = [position[key] for key in keys if key in position]
+            each = dict.fromkeys(map(tuple, corners))
+            faces = [position[face] for face in each if face in position]
             if faces:
                 surface_groups[name] = all_faces[faces]
             if lost := len(corners) - len(faces):

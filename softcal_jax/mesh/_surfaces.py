@@ -9,11 +9,12 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._module import key, keys
+from softcal_jax._typing import Bool, Float, HostArray, Int, Vector
 from softcal_jax._units import readable
 from softcal_jax.mesh._location import nearest_on_triangles
 from softcal_jax.mesh._selection import place
-from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
+from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     area_normals,
     boundary_faces,
@@ -38,9 +39,14 @@ _ENCLOSED = 0.5
 """Share of all directions in which the wall of a cavity is seen, at least [-]."""
 
 
+@keys(
+    point=key("m", 'where it begins: "(0, 5, 0) mm"'),
+    angle=key("rad", size="any"),
+    stop_at=key(),
+)
 def select_reachable(
     mesh: TetMesh,
-    point: ArrayData,
+    point: Vector,
     *,
     angle: float | None = None,
     stop_at: Sequence[str] = (),
@@ -70,7 +76,7 @@ def select_reachable(
     return surface.part_at(p, surface.parts(angle, barred))
 
 
-def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
+def select_face(mesh: TetMesh, point: Vector) -> Int[HostArray, "n n_fn"]:
     """Select the face of the body that a point [m] lies on, not on its border.
 
     On a mesh from a CAD model it is the face of the model ("face 7"); on any other mesh
@@ -83,8 +89,9 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
     return surface.part_at(np.asarray(point, float), surface.body_faces())
 
 
+@keys(point=key("m", 'a point in the cavity: "(20, 0, 0) mm"'), stop_at=key())
 def select_cavity(
-    mesh: TetMesh, point: ArrayData, *, stop_at: Sequence[str] = ()
+    mesh: TetMesh, point: Vector, *, stop_at: Sequence[str] = ()
 ) -> Int[HostArray, "n n_fn"]:
     """Select the wall of the cavity around a point [m], as a chamber needs it.
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StrictBool, StrictFloat, field_validator
+from pydantic import Field, StrictBool, StrictFloat, field_validator
 
 from softcal_jax import designs
-from softcal_jax._module import Module
+from softcal_jax._module import Module, key, keys
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -23,7 +23,7 @@ from softcal_jax.control import Limits, with_marker_goals
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
-from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._quantities import parse_vector
 from softcal_jax.project._robot import (
     State,
     build_actuation,
@@ -39,6 +39,7 @@ from softcal_jax.project._table import (
     TableOr,
     WholeFile,
     WrongKeyError,
+    built,
     by_keys,
     known_name,
     only,
@@ -49,9 +50,7 @@ from softcal_jax.project._table import (
 _Name = Annotated[str, Field(min_length=1)]
 
 
-RelativeStd = Annotated[
-    float | Literal["estimated"], BeforeValidator(typed.deviation("%", "estimated"))
-]
+RelativeStd = Annotated[float | Literal["estimated"], typed.deviation("%", "estimated")]
 SupportTable = Annotated[Maker, only(Support)]
 LoadTable = Annotated[
     Maker,
@@ -59,21 +58,20 @@ LoadTable = Annotated[
 ]
 
 
-class GravityTable(Table):
-    size: typed.AccelerationSize = Field(description='"9.81 m/s^2"')
-    direction: typed.Direction = Field(description='"-z", or [0, 0, -1]')
-
-    @property
-    def acceleration(self) -> typed.Triple:
-        x, y, z = (self.size * v for v in self.direction)
-        return x, y, z
+@keys(
+    size=key("m/s2", 'its size: "9.81 m/s^2"', "any"),
+    direction=key(words='its direction: "-z" or [0, 0, -1]'),
+)
+def acceleration(size: float, direction: typed.Direction) -> typed.Triple:
+    x, y, z = (size * v for v in direction)
+    return x, y, z
 
 
 class CandidateTable(Table):
     """A configuration that might be measured."""
 
     name: str = Field(description="name in results, tables and pictures")
-    gravity: TableOr[GravityTable, typed.Acceleration] = Field(
+    gravity: TableOr[Annotated[Maker, only(acceleration)], typed.Acceleration] = Field(
         description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
     )
     supports: tuple[SupportTable, ...] = ()
@@ -140,16 +138,13 @@ def build_configuration(
             known_name("effector", name, followed, "[effectors]")
             read = project.effectors[name].measured
             followed[name] = read(followed[name], value, model)
-    gravity = table.gravity
-    if isinstance(gravity, GravityTable):
-        gravity = gravity.acceleration
     reference = None if measured is None else measured.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
     configuration = Configuration(
         name=table.name,
         supports=supports,
-        gravity=gravity,
+        gravity=built(table.gravity),
         loads=loads,
         markers=seen.markers,
         measured=seen.positions,
@@ -209,7 +204,7 @@ class DesignTable(Table):
     goal that is a tolerance off.
     """
 
-    foam: designs.Infill | Literal["none"] = "none"
+    foam: Literal[designs.Infill, "none"] = "none"
     table: File | None = None
     solid_modulus: typed.Modulus = designs.TPU
     modulus_error: typed.Share = designs.Printing().moduli
@@ -325,5 +320,5 @@ def _place(text: Any) -> Float[HostArray, "3"]:
     coordinates = str(text).partition("(")[2].partition(")")[0].split(",")
     free = [coordinate.strip() == FREE for coordinate in coordinates]
     filled = re.sub(rf"(?<=[(,])\s*{FREE}\s*(?=[,)])", "0", str(text))
-    place = np.array(parse_vector(filled, LENGTH))
+    place = np.array(parse_vector(filled, "m"))
     return np.where(free, np.nan, place)

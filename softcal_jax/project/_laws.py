@@ -32,6 +32,7 @@ from softcal_jax.project._table import (
     Table,
     as_table,
     entry_of,
+    fields_of,
     type_of,
     under,
     wrong_choice,
@@ -44,44 +45,27 @@ GROUP = "softcal_jax.laws"
 _FRAME = "directions"  # key of the formula for the directions of fibres
 
 
-class Constant(NamedTuple):
-    """A constant of a material; bounds of a parameter lie `within` an open interval."""
-
-    unit: str
-    within: tuple[float, float]
-
-    @property
-    def scale(self) -> Literal["log", "linear"]:
-        """Default scale: moduli are positive, so that their steps are ratios."""
-        signed = self.within[0] < 0.0
-        return "linear" if self.unit in ("", "rad") or signed else "log"
+def _owners(key: str) -> str:
+    """Say which laws have a key that another lacks; empty if there are none."""
+    has = lambda kind: key in _recipe(kind, None)[0]
+    chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
+    owners = [
+        *(f'elasticity = "{k}"' for k, kind in ELASTICITIES.items() if has(kind)),
+        *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
+    ]
+    return f" {key} belongs to {' or '.join(owners)}." if owners else ""
 
 
-def _constant(metadata: Mapping[str, Any]) -> Constant:
-    return Constant(*(metadata[key] for key in Constant._fields))
-
-
-class _OfLaw(Table):
-    @classmethod
-    def foreign(cls, key: str) -> str:
-        """Say which laws have a key that this one lacks; empty if there are none."""
-        has = lambda kind: key in _recipe(kind, None).keys
-        chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
-        owners = [
-            *(f'elasticity = "{k}"' for k, kind in ELASTICITIES.items() if has(kind)),
-            *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
-        ]
-        return f" {key} belongs to {' or '.join(owners)}." if owners else ""
-
-
-class Material(_OfLaw):
+class Material(Table):
     """The law and its constants before calibration; `material_table` adds their keys.
 
-    `makes` makes the law from a function that returns the value of a key.
+    `makes` makes the law from a function that returns the value of a key; `constants`
+    has the metadata of each, see `softcal_jax.materials.constant`.
     """
 
+    foreign: ClassVar = staticmethod(_owners)
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
-    constants: ClassVar[Mapping[str, Constant]]
+    constants: ClassVar[Mapping[str, Mapping[str, Any]]]
 
     law: str
     density: typed.Density = Field(description=DENSITY["words"])
@@ -134,11 +118,11 @@ class Material(_OfLaw):
         for name, region in owners.items():
             tets = np.asarray(mesh.tets_of(name))
             with under(f"regions.{name}.{_FRAME}"):
-                frames[tets] = getattr(region, _FRAME).frames(mesh, tets, data)
+                frames[tets] = getattr(region, _FRAME).build(mesh, tets, data)
             others = np.setdiff1d(others, tets)
         if base is not None and others.size:
             with under(_FRAME):
-                frames[others] = base.frames(mesh, others, data)
+                frames[others] = base.build(mesh, others, data)
         return frames
 
 
@@ -175,24 +159,27 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     Where fibres are `aimed`, they have directions without `theta`, which defaults to 0.
     """
     part = _part_of(law)
-    recipe = _recipe(law, None if part is None else part.known[choice])
-    keys: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
-    constants: dict[str, Constant] = {}
-    for key, (field, kind) in recipe.keys.items():
+    of_law, make = _recipe(law, None if part is None else part.known[choice])
+    keys: dict[str, Any] = {}
+    if part is not None:  # `material_table` has refused any other choice
+        keys[part.key] = (Literal[tuple(part.known)], choice)
+    constants: dict[str, Mapping[str, Any]] = {}
+    for key, (field, kind) in of_law.items():
         if "unit" in field.metadata:
-            constants[key] = _constant(field.metadata)
+            constants[key] = field.metadata
         entry = entry_of(field, kind)
         needless = aimed and field in dataclasses.fields(Fibre) and entry.is_required()
         keys[key] = kind, 0.0 if needless else entry
     others: dict[str, Any] = {k: (keys[k][0], None) for k in constants}
     others["density"] = (typed.Density, None)
-    constants["density"] = _constant(DENSITY)
-    if _FRAME in recipe.keys:
+    constants["density"] = DENSITY
+    if _FRAME in of_law:
         others[_FRAME] = (AnyDirections, None)
-    region = create_model("Region", __base__=_OfLaw, **others)
+    region = create_model("Region", __base__=Table, **others)
+    region.foreign = _owners
     keys["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **keys)
-    table.makes, table.constants = recipe.make, constants
+    table.makes, table.constants = make, constants
     return table
 
 
@@ -217,39 +204,34 @@ def _part_of(law: type[eqx.Module]) -> _Part | None:
     return _Part("matrix", "neo-hookean", plain)
 
 
-class _Recipe(NamedTuple):
-    """How to make an object from a function that returns the value of a key.
-
-    `keys` have the field of the class, or of a part's class, and its type.
-    """
-
-    keys: dict[str, tuple[dataclasses.Field, Any]]
-    make: Callable[[Callable[[str], Any]], Any]
+Keys = dict[str, tuple[dataclasses.Field, Any]]
+"""Keys of a law, each with its field, of the class or of a part's class, and type."""
 
 
 @functools.cache
-def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
-    """Derive the recipe of a class from its fields.
+def _recipe(
+    kind: type[eqx.Module], chosen: type[eqx.Module] | None
+) -> tuple[Keys, Callable[[Callable[[str], Any]], Any]]:
+    """Derive the keys of a class from its fields, and what makes it.
 
-    `chosen` is the class of its part that a file chooses; None leaves the keys of the
-    part out. The elasticity of a matrix is isotropic.
+    That is a function of the one that returns the value of a key. `chosen` is the class
+    of its part that a file chooses; None leaves the keys of the part out. The
+    elasticity of a matrix is isotropic.
     """
-    keys: dict[str, tuple[dataclasses.Field, Any]] = {}
-    arguments, hints = {}, typing.get_type_hints(kind)
-    for field in dataclasses.fields(kind):
-        hint, key = hints[field.name], field.metadata.get("key", field.name)
+    keys: Keys = {}
+    # Each argument comes from a key, or from what makes a part.
+    arguments: dict[str, str | Callable[..., Any]] = {}
+    for field, hint in fields_of(kind):
+        key = field.metadata.get("key", field.name)
         if hint in (AbstractElasticity, AbstractLaw):
             if chosen is None:
                 continue
             hint = chosen
         if isinstance(hint, type) and issubclass(hint, eqx.Module):
             more, arguments[field.name] = _recipe(hint, Isotropic)
-        elif key == _FRAME:
-            more = {key: (field, AnyDirections)}
-            arguments[field.name] = lambda value: value(_FRAME)
-        elif "unit" in field.metadata or field.metadata.get("static"):
-            more = {key: (field, type_of(hint, field.metadata))}
-            arguments[field.name] = lambda value, key=key: value(key)
+        elif key == _FRAME or {"unit", "static"} & {*field.metadata}:
+            read = AnyDirections if key == _FRAME else type_of(hint, field.metadata)
+            more, arguments[field.name] = {key: (field, read)}, key
         else:
             raise ValueError(
                 f"{kind.__name__}.{field.name} has no unit: declare it with "
@@ -261,7 +243,14 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
                 "file could not tell the two apart. Give the field another name."
             )
         keys |= more
-    return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
+
+    def make(value: Callable[[str], Any]) -> Any:
+        given = arguments.items()
+        return kind(
+            **{n: value(k) if isinstance(k, str) else k(value) for n, k in given}
+        )
+
+    return keys, make
 
 
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:

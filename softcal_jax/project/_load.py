@@ -16,7 +16,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import check_parameters
-from softcal_jax.mesh import TetMesh, mesh_files, surface_motion
+from softcal_jax.mesh import TetMesh, mesh_files
 from softcal_jax.project._design import Posed, build_configuration, build_design
 from softcal_jax.project._plausible import (
     ProjectWarning,
@@ -33,7 +33,13 @@ from softcal_jax.project._reading import (
 )
 from softcal_jax.project._sensors import build_effectors
 from softcal_jax.project._setup import build_space
-from softcal_jax.project._table import WrongKeyError, in_file, one_by_one, under
+from softcal_jax.project._table import (
+    WholeFile,
+    WrongKeyError,
+    in_file,
+    one_by_one,
+    under,
+)
 
 
 def load_project(
@@ -173,7 +179,7 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
     shapes = {}
     for name, shape in table.shapes.items():
         with under(f"shapes.{name}"):
-            shapes[name] = surface_motion(mesh, **shape.model_dump())
+            shapes[name] = shape.build(mesh)
     with under("material"):
         density = table.material.values("density", mesh)
         assert density is not None  # which every law has
@@ -192,7 +198,7 @@ def _model(path: Path, table: ProjectTable, solver: str | None) -> Model:
         )
 
 
-def _mesh(folder: Path, table: ProjectTable | MeshTables) -> TetMesh:
+def _mesh(folder: Path, table: WholeFile) -> TetMesh:
     """Make the mesh and its groups, in the order of the file."""
     with under("mesh"):
         mesh = table.mesh.build(folder)

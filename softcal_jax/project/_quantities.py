@@ -3,7 +3,8 @@
 import contextlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator
@@ -21,20 +22,20 @@ class Dimension(NamedTuple):
     example: str
 
 
-LENGTH = Dimension("a length", "m", "100 mm")
-PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa")
-DENSITY = Dimension("a density", "kg/m3", "1070 kg/m^3")
-FORCE = Dimension("a force", "N", "0.51 N")
-ACCELERATION = Dimension("an acceleration", "m/s2", "9.81 m/s^2")
-TIME = Dimension("a time", "s", "1.3 s")
-ANGLE = Dimension("an angle", "rad", "20 deg")
-MASS = Dimension("a mass", "kg", "10 g")
-VOLUME = Dimension("a volume", "m3", "2 ml")
-TORQUE = Dimension("a torque", "N m", "50 N*mm")
-BEDDING = Dimension("a stiffness per area", "N/m3", "1 GPa/m")
-
-_DIMENSIONS = LENGTH, VOLUME, ANGLE, FORCE, PRESSURE, TORQUE, DENSITY, BEDDING
-_OF_UNIT = {d.si: d for d in (*_DIMENSIONS, ACCELERATION, TIME, MASS)}
+_DIMENSIONS = (
+    Dimension("a length", "m", "100 mm"),
+    Dimension("a volume", "m3", "2 ml"),
+    Dimension("an angle", "rad", "20 deg"),
+    Dimension("a force", "N", "0.51 N"),
+    Dimension("a pressure or modulus", "Pa", "200 kPa"),
+    Dimension("a torque", "N m", "50 N*mm"),
+    Dimension("a density", "kg/m3", "1070 kg/m^3"),
+    Dimension("a stiffness per area", "N/m3", "1 GPa/m"),
+    Dimension("an acceleration", "m/s2", "9.81 m/s^2"),
+    Dimension("a time", "s", "1.3 s"),
+    Dimension("a mass", "kg", "10 g"),
+)
+_OF_UNIT = {dimension.si: dimension for dimension in _DIMENSIONS}
 """Dimension of each SI unit, as laws, actuators and effectors name it."""
 
 
@@ -90,7 +91,7 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         hint = suggestion(unit, common, quote='"')
         raise ValueError(f"{unknown}{hint}") from error
     si = _by_pint(dimension.si)
-    angle = dimension is not ANGLE or str(one.units) in _ANGLES
+    angle = dimension.si != "rad" or str(one.units) in _ANGLES
     if not (angle and one.is_compatible_with(si)):
         # "kP" is no slip to pint, which knows the kilopoise.
         raise ValueError(misfit + suggestion(unit, common, quote='"'))
@@ -104,51 +105,70 @@ def shown(value: Any) -> str:
 
 def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
     """Read a quantity of any dimension: one value or three, and their SI unit."""
-    for dimension in _OF_UNIT.values():
+    for unit in _OF_UNIT:
         with contextlib.suppress(ValueError):
             if _VECTOR.fullmatch(text):
-                return parse_vector(text, dimension), dimension.si
-            return (parse_scalar(text, dimension),), dimension.si
+                return parse_vector(text, unit), unit
+            return (parse_in_si(text, unit),), unit
     return None
 
 
-def parse_scalar(value: Any, dimension: Dimension) -> float:
-    """Parse a quantity like "200 kPa" into SI; errors show an example."""
-    match = _SCALAR.fullmatch(value) if isinstance(value, str) else None
-    if match is not None and match[2]:
-        return float(match[1]) * _factor(match[2], dimension, value)
-    number = float(match[1]) if match else value
-    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
-    raise ValueError(
-        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
-        f'"{dimension.example}".'
-    )
+_WITHIN = {
+    "any": (lambda x: True, ""),
+    "finite": (math.isfinite, ""),
+    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
+    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
+}
 
 
-def parse_in_si(value: Any, unit: str) -> float:
+def _check_size(numbers: Sequence[float], size: Size, value: Any) -> None:
+    """Raise ValueError unless numbers are of a size; `value` is what was typed."""
+    within, words = _WITHIN[size]
+    if not all(map(within, numbers)):
+        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
+
+
+def parse_in_si(value: Any, unit: str, size: Size = "any") -> float:
     """Parse "200 kPa" into the SI unit: "%" for a share, "" for a plain number.
 
     Raises:
         ValueError: If it is not such a value; the text shows an example.
     """
+    text = value if isinstance(value, str) else ""
     if unit == "%":
-        match = _SHARE.fullmatch(value) if isinstance(value, str) else None
+        match = _SHARE.fullmatch(text)
         if match is None:
             raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
-        return 0.01 * float(match[1])
-    if unit:
-        return parse_scalar(value, dimension_of(unit))
-    if not is_number(value):
-        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
-    return float(value)
+        number = 0.01 * float(match[1])
+    elif not unit:
+        if not is_number(value):
+            raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
+        number = float(value)
+    else:
+        match, dimension = _SCALAR.fullmatch(text), dimension_of(unit)
+        if match is None or not match[2]:
+            bare = float(match[1]) if match else value
+            got = f"got {shown(value)}"
+            if is_number(bare):
+                got = f"{bare:.15g} has no unit"
+            raise ValueError(
+                f"{got}; expected {dimension.name}, in quotes and with its unit, like "
+                f'"{dimension.example}".'
+            )
+        number = float(match[1]) * _factor(match[2], dimension, text)
+    _check_size([number], size, value)
+    return number
 
 
-def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
-    """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"]."""
-    unit = dimension.example.split()[-1]
-    expected = f'expected three numbers with a unit, like "(0, 0, -1) {unit}"'
+def parse_vector(
+    value: Any, unit: str, size: Size = "any"
+) -> tuple[float, float, float]:
+    """Parse "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"] into the SI unit."""
+    dimension = dimension_of(unit)
+    example = dimension.example.split()[-1]
+    expected = f'expected three numbers with a unit, like "(0, 0, -1) {example}"'
     if isinstance(value, list):
-        parts = [parse_scalar(part, dimension) for part in value]
+        parts = [parse_in_si(part, unit) for part in value]
     else:
         match = _VECTOR.fullmatch(value) if isinstance(value, str) else None
         if match is None:
@@ -163,47 +183,31 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
         parts = [float(number) * factor for number in numbers]
     if len(parts) != 3:
         raise ValueError(f"got {len(parts)} numbers; {expected}.")
+    _check_size(parts, size, value)
     x, y, z = parts
     return x, y, z
 
 
-def scalar(unit: str, size: Size = "any") -> Callable[[Any], float]:
-    """Return a parser of quantities like those of `parse_in_si`, of a size."""
-    return lambda value: _of_size((parse_in_si(value, unit),), size, value)[0]
+def scalar(unit: str, size: Size = "any") -> BeforeValidator:
+    """Mark a type that is read as a quantity in a unit, of a size."""
+    return BeforeValidator(partial(parse_in_si, unit=unit, size=size))
 
 
-def deviation(unit: str, *words: str) -> Callable[[Any], float | str]:
-    """Return a parser of sizes in a unit, or of `words`; zero needs no unit."""
-    parse = scalar(unit, "not negative")
+def vector(unit: str, size: Size = "finite") -> BeforeValidator:
+    """Mark a type that is read as a vector in a unit, each component of a size."""
+    return BeforeValidator(partial(parse_vector, unit=unit, size=size))
+
+
+def deviation(unit: str, *words: str) -> BeforeValidator:
+    """Mark a type that is read as a size or as one of `words`; zero needs no unit."""
 
     def parsed(value: Any) -> float | str:
         if value in words:
             return value
-        return 0.0 if is_number(value) and value == 0 else parse(value)
+        zero = is_number(value) and value == 0
+        return 0.0 if zero else parse_in_si(value, unit, "not negative")
 
-    return parsed
-
-
-def vector(unit: str, size: Size = "finite") -> Callable[[Any], tuple[float, ...]]:
-    """Return a parser of vectors in a unit, each component of a size."""
-    dimension = dimension_of(unit)
-    return lambda value: _of_size(parse_vector(value, dimension), size, value)
-
-
-_WITHIN = {
-    "any": (lambda x: True, ""),
-    "finite": (math.isfinite, ""),
-    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
-    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
-}
-
-
-def _of_size(numbers: tuple[float, ...], size: Size, value: Any) -> tuple[float, ...]:
-    """Return numbers that must be of a size; `value` is what was typed."""
-    within, words = _WITHIN[size]
-    if not all(map(within, numbers)):
-        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
-    return numbers
+    return BeforeValidator(parsed)
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
@@ -225,18 +229,17 @@ def parse_direction(value: Any) -> tuple[float, float, float]:
 
 Triple = tuple[float, float, float]
 
-Length = Annotated[float, BeforeValidator(scalar("m", "not negative"))]
-PositiveLength = Annotated[float, BeforeValidator(scalar("m", "positive"))]
-Density = Annotated[float, BeforeValidator(scalar("kg/m3", "not negative"))]
-Modulus = Annotated[float, BeforeValidator(scalar("Pa", "positive"))]
-Angle = Annotated[float, BeforeValidator(scalar("rad"))]
-Time = Annotated[float, BeforeValidator(scalar("s"))]
-Share = Annotated[float, BeforeValidator(deviation("%"))]
-AccelerationSize = Annotated[float, BeforeValidator(scalar("m/s2"))]
-Position = Annotated[Triple, BeforeValidator(vector("m"))]
-Extent = Annotated[Triple, BeforeValidator(vector("m", "positive"))]
-Acceleration = Annotated[Triple, BeforeValidator(vector("m/s2"))]
-RotationVector = Annotated[Triple, BeforeValidator(vector("rad"))]
+Length = Annotated[float, scalar("m", "not negative")]
+PositiveLength = Annotated[float, scalar("m", "positive")]
+Density = Annotated[float, scalar("kg/m3", "not negative")]
+Modulus = Annotated[float, scalar("Pa", "positive")]
+Angle = Annotated[float, scalar("rad")]
+Time = Annotated[float, scalar("s")]
+Share = Annotated[float, deviation("%")]
+Position = Annotated[Triple, vector("m")]
+Extent = Annotated[Triple, vector("m", "positive")]
+Acceleration = Annotated[Triple, vector("m/s2")]
+RotationVector = Annotated[Triple, vector("rad")]
 Direction = Annotated[Triple, BeforeValidator(parse_direction)]
 
 Names = Annotated[

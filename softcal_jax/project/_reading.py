@@ -32,15 +32,15 @@ from softcal_jax.project._design import CandidateTable, ConfigurationTable, Desi
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._robot import AnyActuator, BodyTable, GroupTable, MeshTable
+from softcal_jax.project._robot import AnyActuator, AnyMesh, BodyTable, GroupTable
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._setup import (
+    AnyControlPoints,
     AnySetup,
-    ControlPointsTable,
+    AnyShape,
+    AnyUncertain,
     ParameterSpaceTable,
     ParameterTable,
-    ShapeTable,
-    UncertainTable,
 )
 from softcal_jax.project._table import (
     Choice,
@@ -92,15 +92,20 @@ class NewtonTable(table_of(NewtonSettings, "strict_below", "max_backtracks")):
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
 
-def _keys_of(kind: type[Table], but: Set[str]) -> Any:
-    """Return fields that take any value, for all keys of a table `but` some."""
-    return {key: (Any, None) for key in kind.model_fields if key not in but}
+def _relaxed(
+    kind: type[Table], checks: Set[str] = frozenset(), without: Set[str] = frozenset()
+) -> type[Table]:
+    """Make a table that checks only some keys of another, and may lack some."""
+    keys: dict[str, Any] = {
+        key: (field.annotation, field) if key in checks else (Any, None)
+        for key, field in kind.model_fields.items()
+        if key not in without
+    }
+    return create_model(kind.__name__, __base__=Table, **keys)
 
 
-class SharedTable(
-    create_model("Shared", __base__=Table, **_keys_of(ConfigurationTable, {"name"}))
-):
-    """The table [shared], whose values are checked in each configuration."""
+SharedTable = _relaxed(ConfigurationTable, without={"name"})
+"""The table [shared], whose values are checked in each configuration."""
 
 
 AnyMaterial = Annotated[Material, Choice(lambda value, _: material_table(value))]
@@ -110,23 +115,23 @@ class ProjectTable(Table):
     """A whole project file."""
 
     name: str = Field(description="name of the project")
-    mesh: MeshTable = Field(description="a table [mesh]")
+    mesh: AnyMesh = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
-    shapes: dict[str, ShapeTable] = Field(default_factory=dict)
+    shapes: dict[str, AnyShape] = Field(default_factory=dict)
     material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)
-    control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
+    control_points: dict[str, AnyControlPoints] = Field(default_factory=dict)
     parameters: tuple[ParameterTable, ...] = ()
     setup: tuple[AnySetup, ...] = ()
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
-    shared: SharedTable = SharedTable()
+    shared: Annotated[Table, Choice(lambda *_: SharedTable)] = SharedTable()
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     design: DesignTable = DesignTable()
-    uncertain: UncertainTable = UncertainTable()
+    uncertain: AnyUncertain = Field({}, validate_default=True)
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 
@@ -146,13 +151,8 @@ class ProjectTable(Table):
         return sets
 
 
-class MeshTables(
-    create_model("Mesh", __base__=Table, **_keys_of(ProjectTable, {"mesh", "groups"}))
-):
-    """The tables of a project file that make its mesh; other tables are not read."""
-
-    mesh: MeshTable = Field(description="a table [mesh]")
-    groups: dict[str, GroupTable] = Field(default_factory=dict)
+MeshTables = _relaxed(ProjectTable, checks={"mesh", "groups"})
+"""The tables of a project file that make its mesh; other tables are not read."""
 
 
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:

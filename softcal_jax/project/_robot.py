@@ -1,8 +1,7 @@
 """Tables of a project file for the robot: mesh, groups, fibres, bodies, actuators."""
 
 import contextlib
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +10,8 @@ from pydantic import BaseModel, Field, StrictInt, create_model, model_validator
 
 from softcal_jax import actuators, mesh as meshes
 from softcal_jax._files import check_file
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._module import key, keys
+from softcal_jax._typing import Float, HostArray, Int, Vector
 from softcal_jax._units import METRES
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import (
@@ -43,48 +43,24 @@ from softcal_jax.project._table import (
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
 
-class _MeshTable(Table):
+class MeshTable(Maker):
+    """A mesh: of a mesh file, of a CAD model, or of a box."""
+
     element: Literal["quadratic", "linear"] = "quadratic"
 
-    @property
-    def order(self) -> int:
-        return 2 if self.element == "quadratic" else 1
-
-    @abstractmethod
     def build(self, folder: Path) -> TetMesh:
         """Make the mesh; what is costly to make is kept in `folder`."""
+        kept = {"kept_in": folder} if self.makes is mesh_cad else {}
+        return super().build(order=2 if self.element == "quadratic" else 1, **kept)
 
     def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of a mesh file with values for each tet."""
-        raise ValueError(
-            f"there is no mesh file to read {name!r} from. Take "
-            'type = "along", "hoop" or "helix", or a mesh of a file.'
-        )
-
-
-class MeshFileTable(_MeshTable):
-    file: File = Field(description='a mesh file: "robot.msh"')
-    length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
-    unused_nodes: Literal["error", "drop"] = "error"
-    parts: Literal["one", "linked"] = "one"
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.model_dump(include={"length_unit", "parts"})
-        options |= {"order": self.order, "unused": self.unused_nodes}
-        return meshes.read_mesh(self.file, **options)
-
-    def tet_data(self, name: str) -> Float[HostArray, "n_tets _"]:
-        return meshes.read_tet_data(self.file, name)
-
-
-class CadMeshTable(_MeshTable):
-    file: File = Field(description='a CAD model: "finger.step" or "finger.stl"')
-    size: typed.PositiveLength = Field(description='length of its edges: "3 mm"')
-    length_unit: LengthUnit | None = None
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.model_dump(include={"size", "length_unit"})
-        return mesh_cad(self.file, order=self.order, kept_in=folder, **options)
+        if self.makes is not meshes.read_mesh:
+            raise ValueError(
+                f"there is no mesh file to read {name!r} from. Take "
+                'type = "along", "hoop" or "helix", or a mesh of a file.'
+            )
+        return meshes.read_tet_data(vars(self)["file"], name)
 
 
 class BeamTable(Table):
@@ -98,81 +74,69 @@ class BeamTable(Table):
     pattern: Literal["mirrored", "centred"] = "mirrored"
 
 
-class BeamMeshTable(_MeshTable):
-    beam: BeamTable
-
-    def build(self, folder: Path) -> TetMesh:
-        options = self.beam.model_dump(exclude={"size"})
-        return meshes.beam(*self.beam.size, order=self.order, **options)
+@keys(beam=key())
+def _box(beam: BeamTable, order: int) -> TetMesh:
+    return meshes.beam(*beam.size, order=order, **beam.model_dump(exclude={"size"}))
 
 
-def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+MESH_FILE = table_of(
+    meshes.read_mesh,
+    base=MeshTable,
+    path=File,
+    length_unit=LengthUnit,
+    unused=Literal["error", "drop"],
+    parts=Literal["one", "linked"],
+)
+CAD_MODEL = table_of(mesh_cad, base=MeshTable, path=File, length_unit=LengthUnit)
+BOX = table_of(_box, base=MeshTable)
+
+
+def _mesh_kind(value: Any, _: Any) -> type[BaseModel]:
     """Choose a table of a mesh; a CAD model is known by its file extension."""
     file = value.get("file") if isinstance(value, dict) else None
     if file is None:
-        return by_keys(value, kinds)
+        return by_keys(value, (MESH_FILE, CAD_MODEL, BOX))
     is_cad = Path(str(file)).suffix.lower() in CAD_FORMATS
-    return CadMeshTable if is_cad else MeshFileTable
+    return CAD_MODEL if is_cad else MESH_FILE
 
 
-MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh_kind)]
+AnyMesh = Annotated[MeshTable, Choice(_mesh_kind)]
 
 
-class FaceTable(Table):
-    points: tuple[typed.Position, ...] = Field(
-        description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
-    )
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        faces = [meshes.select_face(mesh, np.array(point)) for point in self.points]
-        return np.unique(np.concatenate(faces), axis=0)
+_Points = Annotated[tuple[typed.Position, ...], Field(min_length=1)]
 
 
-class ReachableTable(Table):
-    point: typed.Position = Field(description='where it begins: "(0, 5, 0) mm"')
-    angle: typed.Angle | None = None
-    stop_at: typed.Names = ()
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        options = self.model_dump(include={"angle", "stop_at"})
-        return meshes.select_reachable(mesh, np.array(self.point), **options)
+@keys(points=key(words='a point on each face: ["(0, 5, 0) mm"]'))
+def _faces_at(mesh: TetMesh, points: _Points) -> Int[HostArray, "n n_fn"]:
+    faces = [meshes.select_face(mesh, point) for point in points]
+    return np.unique(np.concatenate(faces), axis=0)
 
 
-class InsideTable(Table):
-    point: typed.Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
-    stop_at: typed.Names = ()
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the wall of the cavity around the point."""
-        return meshes.select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
-
-
-_REGIONS: dict[str, Any] = {
-    key: (table_of(kind, "tolerance") | None, None)
-    for key, kind in meshes.REGIONS.items()
+_PLACES = meshes.REGIONS | {
+    "face": _faces_at,
+    "reachable": meshes.select_reachable,
+    "inside": meshes.select_cavity,
+}
+_KEYS: dict[str, Any] = {
+    key: (table_of(makes, "tolerance") | None, None) for key, makes in _PLACES.items()
 }
 
 
-class GroupTable(create_model("Group", __base__=Table, **_REGIONS)):
+class GroupTable(create_model("Group", __base__=Table, **_KEYS)):
     """A named part of the mesh: nodes, faces or tets in a region, or a surface."""
 
-    face: FaceTable | None = None
-    reachable: ReachableTable | None = None
-    inside: InsideTable | None = None
     of: Literal["nodes", "faces", "tets"] = "nodes"
     tolerance: typed.Length | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "GroupTable":
-        options = {"of", "tolerance"}
-        places = [key for key in type(self).model_fields if key not in options]
-        given = [key for key in places if key in self.model_fields_set]
+        given = [key for key in _PLACES if key in self.model_fields_set]
         if len(given) != 1:
             raise ValueError(
-                f"expected exactly one of {', '.join(places)}; got "
+                f"expected exactly one of {', '.join(_PLACES)}; got "
                 f"{' and '.join(given) or 'none'}."
             )
-        spare = sorted(options & self.model_fields_set)
+        spare = sorted({"of", "tolerance"} & self.model_fields_set)
         if spare and given[0] not in meshes.REGIONS:
             raise ValueError(
                 f"{given[0]} finds faces: leave {' and '.join(spare)} out."
@@ -181,12 +145,11 @@ class GroupTable(create_model("Group", __base__=Table, **_REGIONS)):
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
         """Add the group to the mesh; raise if nothing is there or the name is taken."""
-        surface = self.face or self.reachable or self.inside
-        if surface is not None:
-            return mesh.with_surface_group(name, surface.faces(mesh))
+        key, place = next((k, part) for k, part in self if isinstance(part, Maker))
+        if key not in meshes.REGIONS:
+            return mesh.with_surface_group(name, place.build(mesh))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
-        place = next(part for _, part in self if isinstance(part, Maker))
         region = place.build(tolerance=rounding)
         if self.of == "nodes":
             return mesh.with_node_group(name, meshes.select_nodes(mesh, region))
@@ -205,75 +168,64 @@ Frames = Float[HostArray, "n 3 3"]
 """Local axes of some tets, see `Fibre`."""
 
 
-class AlongTable(Table):
-    type: str
-    axis: typed.Direction = Field(description='where fibres point: "z" or [0, 0, 1]')
-
-    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
+@keys(axis=key("", 'where fibres point: "z" or [0, 0, 1]'))
+def _along(mesh: TetMesh, tets: HostArray, data: TetData, axis: Vector) -> Frames:
+    return frames_along(np.broadcast_to(np.asarray(axis), (len(tets), 3)))
 
 
-class AroundTable(Table):
-    """Fibres around an axis: hoops, or a helix at the angle `theta` from it."""
-
-    axis: typed.Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
-    through: typed.Position = (0.0, 0.0, 0.0)
-    type: str
-
-    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        frames = frames_around(mesh.centroids[tets], self.axis, self.through)
-        return frames[:, [2, 1, 0]] if self.type == "hoop" else frames
-
-
-class CellsTable(Table):
-    """Fibres from an array of the mesh file, with a vector for each tet."""
-
-    type: str
-    array: str = Field(description='name of a cell array of the mesh file: "fibre"')
-
-    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        vectors = data(self.array)
-        if vectors.shape[1:] != (3,):
-            raise ValueError(
-                f"the cell array {self.array!r} has the shape {vectors.shape}; "
-                "expected a vector of three components for each tet."
-            )
-        return frames_along(vectors[tets])
+@keys(
+    axis=key("", 'direction of the axis: "z" or [0, 0, 1]'),
+    through=key("m", "a point of the axis"),
+    kind=key(key="type"),
+)
+def _around(
+    mesh: TetMesh,
+    tets: HostArray,
+    data: TetData,
+    axis: Vector,
+    through: Vector = (0.0, 0.0, 0.0),
+    kind: str = "helix",
+) -> Frames:
+    """Build local axes for hoops, or for a helix at the angle `theta` from the axis."""
+    frames = frames_around(mesh.centroids[tets], axis, through)
+    return frames[:, [2, 1, 0]] if kind == "hoop" else frames
 
 
-DIRECTIONS: dict[str, type[Table]] = {
-    "along": AlongTable,
-    "hoop": AroundTable,
-    "helix": AroundTable,
-    "cells": CellsTable,
-}
-AnyDirections = Annotated[Any, of_type(DIRECTIONS)]
+@keys(array=key(words='name of a cell array of the mesh file: "fibre"'))
+def _cells(mesh: TetMesh, tets: HostArray, data: TetData, array: str) -> Frames:
+    vectors = data(array)
+    if vectors.shape[1:] != (3,):
+        raise ValueError(
+            f"the cell array {array!r} has the shape {vectors.shape}; "
+            "expected a vector of three components for each tet."
+        )
+    return frames_along(vectors[tets])
+
+
+DIRECTIONS = {"along": _along, "hoop": _around, "helix": _around, "cells": _cells}
+"""What makes local axes of some tets, from the mesh and its file."""
+
+AnyDirections = Annotated[Maker, of_type(DIRECTIONS)]
 
 
 SURFACE_FORMATS = ".stl", ".ply", ".obj", ".vtp"
 
 
-class SurfaceFileTable(Table):
-    """The shape of an obstacle in a file."""
-
-    type: str
-    file: File = Field(description='a closed surface: "object.stl"')
-    length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
-
-    def build(self) -> AbstractShape:
-        """Read the shape."""
-        check_file(self.file, "surface file")
-        if self.file.suffix.lower() not in SURFACE_FORMATS:
-            raise ValueError(
-                f"surface file {self.file} has the extension {self.file.suffix!r}; "
-                f"expected one of {', '.join(SURFACE_FORMATS)}."
-            )
-        return read_surface(self.file, length_unit=METRES[self.length_unit])
+@keys(
+    file=key(words='a closed surface: "object.stl"'),
+    length_unit=key(words='the length unit of the file: "mm"'),
+)
+def _surface(file: File, length_unit: LengthUnit) -> AbstractShape:
+    check_file(file, "surface file")
+    if file.suffix.lower() not in SURFACE_FORMATS:
+        raise ValueError(
+            f"surface file {file} has the extension {file.suffix!r}; "
+            f"expected one of {', '.join(SURFACE_FORMATS)}."
+        )
+    return read_surface(file, length_unit=METRES[length_unit])
 
 
-AnyShape = Annotated[
-    Maker | SurfaceFileTable, of_type(SHAPES | {"surface": SurfaceFileTable})
-]
+AnyShape = Annotated[Maker, of_type(SHAPES | {"surface": _surface})]
 
 
 class BodyTable(table_of(RigidBody, "name", "shape")):

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt, model_validator
@@ -25,7 +25,7 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._quantities import (
     dimension_of,
-    parse_scalar,
+    parse_in_si,
     parse_vector,
     shown,
 )
@@ -103,15 +103,10 @@ class FrameTable(OrientationTable):
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
-class Seen(NamedTuple):
-    """A pose or a motion in the frame of the mesh.
-
-    The covariance is that of its translation and of a rotation vector in the axes of
-    the mesh; None where the measurement says nothing of it [m, rad].
-    """
-
-    pose: Pose
-    covariance: Float[HostArray, "6 6"] | None = None
+Seen = tuple[Pose, Float[HostArray, "6 6"] | None]
+"""A pose or a motion in the frame of the mesh, and the covariance of its translation
+and of a rotation vector in the axes of the mesh [m, rad]; None where it is not known.
+"""
 
 
 class MotionSource(Table):
@@ -134,18 +129,16 @@ class MotionSource(Table):
         pose it does not matter exactly where it was glued.
         """
         pose, covariance = self.seen(base)
-        before, mounting = rest, mounted.rotation
-        start = self.seen_before(base)
-        if start is not None:
-            before, mounting = start.pose.translation, start.pose.matrix
+        before, mounting, earlier = rest, mounted.rotation, None
+        if (start := self.seen_before(base)) is not None:
+            before, mounting, earlier = start[0].translation, start[0].matrix, start[1]
         turn = pose.matrix @ mounting.T
-        earlier = None if start is None else start.covariance
         if covariance is not None and earlier is not None:
             # Turned by the motion: exp(r) R (exp(s) S)^T = exp(r - R S^T s) R S^T.
             change = np.eye(6)
             change[3:, 3:] = turn
             covariance = covariance + change @ earlier @ change.T
-        return Seen(Pose.from_matrix(turn, pose.translation - before), covariance)
+        return Pose.from_matrix(turn, pose.translation - before), covariance
 
 
 def _mean(readings: PoseTable, base: Pose) -> Seen:
@@ -157,7 +150,7 @@ def _mean(readings: PoseTable, base: Pose) -> Seen:
             f"meant, by `sensor` or `station`."
         )
     (mean,) = means.values()
-    return Seen(mean)
+    return mean, None
 
 
 class WrittenPoseTable(MotionSource, OrientationTable):
@@ -242,7 +235,7 @@ class PhotosTable(MotionSource):
         turn, axes = base.matrix, np.kron(np.eye(2), base.matrix)
         position = turn @ tag.position + base.translation
         pose = Pose.from_matrix(turn @ tag.rotation, position)
-        return Seen(pose, axes @ tag.covariance @ axes.T)
+        return pose, axes @ tag.covariance @ axes.T
 
     def seen_before(self, base: Pose) -> Seen | None:
         if self.displacement_from is None:
@@ -280,7 +273,7 @@ class EffectorTable(Maker):
         if not isinstance(std, str):
             return effector
         with under("std"):
-            return replace(effector, std=typed.scalar(unit, "positive")(std))
+            return replace(effector, std=parse_in_si(std, unit, "positive"))
 
     def measured(self, effector: Any, value: Any, model: Model) -> AbstractEffector:
         """Return the effector with its measured value."""
@@ -289,8 +282,8 @@ class EffectorTable(Maker):
         if isinstance(value, MotionSource):
             raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')
         if row.n_values == 1:
-            return replace(effector, measured=parse_scalar(value, dimension))
-        return replace(effector, measured=np.array(parse_vector(value, dimension)))
+            return replace(effector, measured=parse_in_si(value, row.unit))
+        return replace(effector, measured=np.array(parse_vector(value, row.unit)))
 
 
 class BodyFrameTable(EffectorTable):

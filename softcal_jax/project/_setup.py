@@ -4,6 +4,7 @@ The last two are made from `softcal_jax.fields.KINDS`; to add a kind, write a ro
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -11,7 +12,6 @@ from pydantic import (
     BeforeValidator,
     Field,
     StrictFloat,
-    StrictInt,
     create_model,
     field_validator,
     model_validator,
@@ -19,17 +19,18 @@ from pydantic import (
 
 from softcal_jax import fields
 from softcal_jax._text import check_unique
+from softcal_jax.mesh import surface_motion
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._laws import Constant
 from softcal_jax.project._table import (
     Choice,
+    Maker,
     Table,
     TableOr,
     WholeFile,
     by_keys,
     known_name,
     one_of,
-    table_of,
+    only,
     under,
 )
 
@@ -37,30 +38,13 @@ PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
 
 
-class ControlPointsTable(Table):
-    """Control points, where fields of the law have values of their own."""
-
-    positions: TableOr[dict[str, typed.Position], tuple[typed.Position, ...]] = Field(
-        description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
-        "of positions"
-    )
-    names: tuple[str, ...] | None = None
-    power: StrictFloat = 2.0
-    nearest: StrictInt | None = None
-    axes: str = "xyz"
-    max_distance: typed.Length | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "ControlPointsTable":
-        if self.names is not None and isinstance(self.positions, dict):
-            raise ValueError("`positions` names its points: leave `names` out.")
-        return self
-
-    def build(self) -> fields.ControlPoints:
-        positions = self.positions
-        if not isinstance(positions, dict):
-            positions = np.array(positions, float).reshape(-1, 3)
-        return fields.ControlPoints(positions, **self.model_dump(exclude={"positions"}))
+AnyControlPoints = Annotated[
+    Maker,
+    only(
+        fields.ControlPoints,
+        positions=TableOr[dict[str, typed.Position], tuple[typed.Position, ...]],
+    ),
+]
 
 
 class ParameterTable(Table):
@@ -109,7 +93,7 @@ class ParameterTable(Table):
         # `field` is validated first, so it is known here unless it is wrong itself.
         constant = _constant(info)
         parsed = lambda quantity: (
-            0.0 if constant is None else typed.parse_in_si(quantity, constant.unit)
+            0.0 if constant is None else typed.parse_in_si(quantity, constant["unit"])
         )
         if not isinstance(value, dict):
             return value if info.field_name == "fixed" else parsed(value)
@@ -125,8 +109,8 @@ class ParameterTable(Table):
         constant = _constant(info)
         if constant is None:
             return None
-        if (info.data.get("scale") or constant.scale) == "linear":
-            return typed.parse_in_si(value, constant.unit)
+        if (info.data.get("scale") or constant["scale"]) == "linear":
+            return typed.parse_in_si(value, constant["unit"])
         if not typed.is_number(value):
             raise ValueError(f"got {typed.shown(value)}; it is relative, like 0.3.")
         return float(value)
@@ -152,7 +136,8 @@ class ParameterTable(Table):
     def build(self, project: WholeFile) -> fields.Entry:
         constant = type(project.material).constants[self.field]
         common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
-        common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
+        unit = constant["unit"]
+        common |= {"scale": self.scale or constant["scale"], "unit": unit}
         nominal = project.material.constant(self.field, self.region)
         sets = project.control_points
         span: dict[str, Any] = {
@@ -163,7 +148,7 @@ class ParameterTable(Table):
         if self.control_points is None:
             # An axis at -90 degrees is the same as at +90.
             half_turn = np.isclose(span["upper"] - span["lower"], np.pi)
-            span["periodic"] = constant.unit == "rad" and bool(half_turn)
+            span["periodic"] = unit == "rad" and bool(half_turn)
             return fields.Parameter(self.label, self.field, **span, **common)
         known_name("set", self.control_points, sets, "[control_points]")
         points = sets[self.control_points].build()
@@ -171,7 +156,7 @@ class ParameterTable(Table):
         for key, value in span.items():
             span[key] = _each(key, value, points.names, free, nominal)
         # +90 and -90 degrees are the same axis, so their mean is not 0.
-        usual = "director" if constant.unit == "rad" else "linear"
+        usual = "director" if unit == "rad" else "linear"
         return fields.ControlPointParameters(
             self.field,
             points,
@@ -209,8 +194,8 @@ def build_space(table: WholeFile) -> fields.ParameterSpace | None:
         return fields.ParameterSpace(tuple(entries), **between)
 
 
-def _constant(info: Any) -> Constant | None:
-    """Return the constant of a parameter; None if its field or the law is wrong."""
+def _constant(info: Any) -> Mapping[str, Any] | None:
+    """Return the metadata of a constant; None if its field or the law is wrong."""
     material = info.context.material
     return None if material is None else material.constants.get(info.data.get("field"))
 
@@ -236,23 +221,14 @@ def _deviation(field: dataclasses.Field) -> Any:
     if not unit:
         return Annotated[StrictFloat, Field(ge=0, allow_inf_nan=False)]
     words = () if kind is float else ("estimated",)
-    return Annotated[kind, BeforeValidator(typed.deviation(unit, *words))]
+    return Annotated[kind, typed.deviation(unit, *words)]
 
 
 _STDS = {f.name: _deviation(f) for f in dataclasses.fields(fields.Uncertain)}
 
 
-class UncertainTable(
-    table_of(fields.Uncertain, **_STDS)  # pyright: ignore[reportArgumentType] (a class)
-):
-    """Its keys are the fields of `Uncertain`, whose docstring explains them."""
-
-
-class ShapeTable(Table):
-    """A way in which the shape of the body may be off, see `surface_motion`."""
-
-    surface: str = Field(description='a surface group that is offset: "z_max"')
-    direction: typed.Direction | None = None
+AnyUncertain = Annotated[Maker, only(fields.Uncertain, **_STDS)]
+AnyShape = Annotated[Maker, only(surface_motion)]
 
 
 class SetupTable(Table):
@@ -263,9 +239,6 @@ class SetupTable(Table):
     """
 
     kind: ClassVar[fields.Kind]
-
-    limit: float | None = None
-    prior_std: float | None = None
 
     @property
     def label(self) -> str:
@@ -308,17 +281,18 @@ def _scope(project: WholeFile, each: Each | None) -> dict[str, Any]:
 
 
 def _table(kind: fields.Kind) -> type[SetupTable]:
-    keys: dict[str, Any] = {"each": (Each, None)} if kind.each else {}
     unnamed = lambda names: kind.unnamed if kind.unnamed and names is True else names
     names = Annotated[typed.Names, BeforeValidator(unnamed)]
-    keys[kind.name] = (names if kind.noun else Literal[True], ...)
+    keys: dict[str, Any] = {kind.name: (names if kind.noun else Literal[True], ...)}
     for part in kind.parts:
         unit = "" if part.relative else part.unit
-        size = Annotated[float | None, BeforeValidator(typed.scalar(unit, "positive"))]
+        size = Annotated[float | None, typed.scalar(unit, "positive")]
         usual = None if len(kind.parts) > 1 else kind.limit if kind.relative else ...
         example = 'largest error looked for: "3 deg", "2 mm"'
         keys[f"{part.prefix}limit"] = (size, Field(usual, description=example))
         keys[f"{part.prefix}prior_std"] = (size, None)
+    if kind.each:
+        keys["each"] = (Each, None)
     table = create_model("Setup", __base__=SetupTable, **keys)
     table.kind = kind
     return table

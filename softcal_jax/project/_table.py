@@ -6,6 +6,7 @@ Errors of a project file in words: the key, what it needs, the closest match.
 import contextlib
 import dataclasses
 import functools
+import inspect
 import re
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -207,8 +208,12 @@ V = TypeVar("V")
 
 
 class Table(BaseModel):
-    """A table of the file; unknown keys are errors, which list those that it has."""
+    """A table of the file; unknown keys are errors, which list those that it has.
 
+    `foreign` says where such a key belongs, in a sentence after a space.
+    """
+
+    foreign: ClassVar[Callable[[str], str]] = staticmethod(lambda key: "")
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @model_validator(mode="wrap")
@@ -234,11 +239,6 @@ class Table(BaseModel):
             return _at(key, f"missing. Expected {what}." if what else "missing.")
         known = known_here(key, cls.model_fields, "Known here")
         return _at(key, f"unknown key.{cls.foreign(key)}{known}")
-
-    @classmethod
-    def foreign(cls, key: str) -> str:
-        """Say where an unknown key belongs, in a sentence after a space."""
-        return ""
 
 
 def _at(key: str, text: str) -> InitErrorDetails:
@@ -267,52 +267,67 @@ File = Annotated[Path, BeforeValidator(_in_folder)]
 
 
 class Maker(Table):
-    """A table that makes an object, whose class says what the table is for.
+    """A table that makes an object, by its class or by a function.
 
     See `table_of`; `key_of` has the keys by the names of the fields.
     """
 
-    makes: ClassVar[type[Any]]
+    makes: ClassVar[Any]
     key_of: ClassVar[Mapping[str, str]]
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments that the table gives, by the names of the fields."""
-        return {name: _built(getattr(self, key)) for name, key in self.key_of.items()}
+        return {name: built(getattr(self, key)) for name, key in self.key_of.items()}
 
     def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
         return self.makes(*first, **self.arguments() | more)
 
 
-def _built(value: Any) -> Any:
+def built(value: Any) -> Any:
+    """Build the object of a table, or of each in a list; keep any other value."""
     if isinstance(value, tuple):
-        return tuple(map(_built, value))
+        return tuple(map(built, value))
     return value.build() if isinstance(value, Maker) else value
 
 
 @functools.cache
 def table_of(
-    kind: type[Any], *given: str, base: type[Maker] = Maker, **by_hand: Any
+    makes: Callable[..., Any], *given: str, base: type[Maker] = Maker, **by_hand: Any
 ) -> type[Maker]:
-    """Make the table of a class from its fields, their types and metadata (`key`).
+    """Make the table of a class or a function from its fields, see `fields_of`.
 
     Fields that are `given` by whoever builds it are no keys. The types `by_hand` are
     those of fields whose annotation does not say it, and of keys that are no fields.
     """
-    hints, names = typing.get_type_hints(kind), {}
-    own = {field.name for field in dataclasses.fields(kind)}
-    keys: dict[str, Any] = {k: (t, ...) for k, t in by_hand.items() if k not in own}
-    for field in dataclasses.fields(kind):
-        if field.name in given:
-            continue
-        names[field.name] = key = field.metadata.get("key", field.name)
-        annotation = by_hand.get(field.name)
-        if annotation is None:
-            annotation = type_of(hints[field.name], field.metadata)
-        keys[key] = annotation, entry_of(field, annotation)
-    table = create_model(kind.__name__, __base__=base, **keys)
-    table.makes, table.key_of = kind, names
+    names: dict[str, str] = {}
+    fields = {field.name: (field, hint) for field, hint in fields_of(makes)}
+    keys: dict[str, Any] = {k: (t, ...) for k, t in by_hand.items() if k not in fields}
+    for name, (field, hint) in fields.items():
+        if name not in given:
+            names[name] = key = field.metadata.get("key", name)
+            annotation = by_hand.get(name) or type_of(hint, field.metadata)
+            keys[key] = annotation, entry_of(field, annotation)
+    table = create_model(makes.__name__, __base__=base, **keys)
+    # Static, so that a function is no method of the table.
+    table.makes, table.key_of = staticmethod(makes), names
     return table
+
+
+def fields_of(makes: Callable[..., Any]) -> Iterator[tuple[dataclasses.Field, Any]]:
+    """Yield the fields of a class, or the `keys` of a function, with their types."""
+    hints = typing.get_type_hints(makes, include_extras=True)
+    if isinstance(makes, type):
+        yield from ((field, hints[field.name]) for field in dataclasses.fields(makes))
+        return
+    arguments = inspect.signature(makes).parameters
+    for name, metadata in vars(makes)["keys"].items():
+        usual = arguments[name].default
+        if usual is inspect.Parameter.empty:
+            usual = dataclasses.MISSING
+        field: Any = dataclasses.field(default=usual, metadata=metadata)
+        field.name = name
+        yield field, hints[name]
 
 
 def entry_of(field: dataclasses.Field, annotation: Any) -> Any:
@@ -331,7 +346,8 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
     Of a union the first type counts; the others are for Python only.
     """
     kind, unit = _first(hint), metadata.get("unit")
-    entry = _first(get_args(kind)[0]) if get_origin(kind) is tuple else None
+    several = get_origin(kind) in (tuple, Sequence)
+    entry = _first(get_args(kind)[0]) if several else None
     if unit is None:
         if entry is str:
             return typed.Names
@@ -346,10 +362,9 @@ def type_of(hint: Any, metadata: Mapping[str, Any]) -> Any:
     if not unit:
         axes = {"3": typed.Direction, "3 3": tuple[(typed.Direction,) * 3]}
         return axes.get(shape, StrictFloat)
-    result, parser = float, typed.scalar
     if shape == "3":
-        result, parser = typed.Triple, typed.vector
-    return Annotated[result, BeforeValidator(parser(unit, metadata["size"]))]
+        return Annotated[typed.Triple, typed.vector(unit, metadata["size"])]
+    return Annotated[float, typed.scalar(unit, metadata["size"])]
 
 
 def _first(hint: Any) -> Any:
@@ -402,23 +417,23 @@ def wrong_choice(
     return wrong_key(key, f"{got}; expected {one_of(str(value), names)}")
 
 
-def only(kind: type[Any]) -> Choice:
-    """Choose the table of a class, whatever the value."""
-    return Choice(lambda *_: table_of(kind))
+def only(makes: Callable[..., Any], *given: str, **by_hand: Any) -> Choice:
+    """Choose the table of a class or a function, whatever the value."""
+    return Choice(lambda *_: table_of(makes, *given, **by_hand))
 
 
 def of_type(
-    kinds: Mapping[str, type[Any]],
-    table: Callable[[type[Any]], type[Table]] = lambda kind: table_of(kind, type=str),
+    kinds: Mapping[str, Callable[..., Any]],
+    table: Callable[[Any], type[Table]] = lambda kind: table_of(kind, type=str),
 ) -> Choice:
-    """Choose the table of the class that has the `type` of the value."""
+    """Choose the table of what has the `type` of the value."""
 
     def choose(value: Any, _: Any) -> type[Table]:
         raw = as_table(value)
         kind = kinds.get(str(raw.get("type")))
         if kind is None:
             raise wrong_choice("type", raw, kinds)
-        return kind if issubclass(kind, Table) else table(kind)
+        return table(kind)
 
     return Choice(choose)
 

@@ -25,7 +25,7 @@ from softcal_jax.project import (
     toml_key,
     toml_value,
 )
-from softcal_jax.project._laws import Constant, material_table
+from softcal_jax.project._laws import material_table
 
 NUMBERS = st.floats(1e-12, 1e12) | st.floats(-1e12, -1e-12)
 
@@ -39,10 +39,9 @@ NAMES = st.sampled_from(ODD) | WORDS.map(str.strip).filter(
 def units():
     """SI units of all that is calibrated, imposed or measured, and all that is read."""
     of_laws = [
-        constant.unit
+        constant["unit"]
         for law in LAWS
         for constant in material_table({"law": law}).constants.values()
-        if isinstance(constant, Constant)
     ]
     of_setup = [kind.unit for kind in fields.KINDS.values()]
     return sorted({*UNITS, *of_laws, *of_setup} - {""})

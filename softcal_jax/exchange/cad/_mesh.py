@@ -17,6 +17,7 @@ import numpy as np
 from softcal_jax import mesh as meshes
 from softcal_jax._apart import run_apart
 from softcal_jax._files import check_file, digest_of
+from softcal_jax._module import key, keys
 from softcal_jax._places import (
     MESHING_MEGABYTES,
     MESHING_SECONDS,
@@ -61,6 +62,11 @@ class Filled(NamedTuple):
     n_flat: int = 0
 
 
+@keys(
+    path=key(words='a CAD model: "finger.step" or "finger.stl"', key="file"),
+    size=key("m", 'length of its edges: "3 mm"', "positive", required=True),
+    length_unit=key(),
+)
 def mesh_cad(
     path: str | os.PathLike[str],
     *,
