@@ -270,18 +270,23 @@ class Evaluator:
     ) -> tuple[ConfigurationArrays, Float[Array, "n_p n_stages n_points 3"] | None]:
         """Return a lane after the one it follows, and how its stages change with z."""
         lane, p = self.lanes[c], self._earlier[c]
-        if len(lane.is_stage) == 0:
-            return lane, None
         if p is None:
-            n_p = len(self.problem.space.names)
-            return lane, jax.device_put(np.zeros((n_p, *lane.stages.shape)))
+            return lane, self._no_slopes()
         (before, slopes), response = self._following(p, responses), responses[p]
-        assert slopes is not None
+        if slopes is None:  # nothing remembers
+            return lane.following(before, response.equilibrium.displacement), None
         assert response.displacement is not None
         new = slopes, np.asarray(response.displacement)[:, None]
         slopes = np.concatenate([*map(np.asarray, new)], axis=1)[:, 1:]
         lane = lane.following(before, np.asarray(response.equilibrium.displacement))
         return jax.device_put((lane, slopes))
+
+    def _no_slopes(self) -> Float[Array, "n_p n_stages n_points 3"] | None:
+        stages = self.lanes[0].stages
+        if len(stages) == 0:
+            return None
+        n_p = len(self.problem.space.names)
+        return jax.device_put(np.zeros((n_p, *stages.shape)))
 
     def closed(
         self,
@@ -419,7 +424,7 @@ class Evaluator:
             every = range(len(self.lanes))
             rest = jax.device_put(np.zeros((self.problem.model.n_points, 3)))
             no = jax.device_put(np.array(False))
-            lane = z, self.lanes[0], rest, rest, no
+            lane = z, self.lanes[0], rest, rest, no, self._no_slopes()
             self.workers.ahead(lambda: (self._program, [lane]))
             solution = self.equilibria(z, report)
             solved()
