@@ -135,17 +135,9 @@ def read_poses(
         TrackerWarning: If angles in degrees look like radians.
     """
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
-    point_columns, metres = table.coordinates(length_unit)
+    columns, metres = table.coordinates(length_unit)
     turn_columns = _turn_columns(table)
-    columns, lines = point_columns + turn_columns, tuple(table.rows)
-    values = table.numbers(columns)
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        row, k = bad[0]
-        raise ValueError(
-            f"{table.source}, line {lines[row]}: {columns[k]} of sensor "
-            f"{table.names[row]!r} is missing or not finite. Leave the reading out."
-        )
+    lines, values = tuple(table.rows), table.numbers(columns + turn_columns, gaps=False)
     points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
         rotations = np.empty((len(turns), 3, 3))

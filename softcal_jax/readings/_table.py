@@ -139,20 +139,27 @@ class CsvTable(NamedTuple):
     def names(self) -> tuple[str, ...]:
         return tuple(row[self.key] for row in self.rows.values())
 
-    def numbers(self, columns: Sequence[str]) -> Float[HostArray, "n_rows n_columns"]:
+    def numbers(
+        self, columns: Sequence[str], *, gaps: bool = True
+    ) -> Float[HostArray, "n_rows n_columns"]:
         """Read the numbers in some columns, nan where a cell is blank.
 
         Raises:
-            ValueError: If there is no such column, or a cell is not a number.
+            ValueError: If there is no such column, or a cell is not a number, or not a
+                finite one where `gaps` are not allowed.
         """
         self.check_columns(columns)
         values = np.empty((len(self.rows), len(columns)))
         for i, (line, row) in enumerate(self.rows.items()):
-            what = f"of {self.key} {row[self.key]!r}"
             with at_line(self.source, line):
                 for k, column in enumerate(columns):
                     cell = row[column] or "nan"
-                    values[i, k] = parse_number(cell, self.point, f"{column} {what}")
+                    what = f"{column} of {self.key} {row[self.key]!r}"
+                    values[i, k] = parse_number(cell, self.point, what)
+                    if not (gaps or np.isfinite(values[i, k])):
+                        raise ValueError(
+                            f"{what} is missing or not finite. Leave the reading out."
+                        )
         return values
 
     def check_columns(self, columns: Iterable[str]) -> None:
