@@ -137,7 +137,7 @@ def read_poses(
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
     columns, metres = table.coordinates(length_unit)
     turn_columns = _turn_columns(table)
-    lines, values = tuple(table.rows), table.numbers(columns + turn_columns, gaps=False)
+    lines, values = table.lines, table.numbers(columns + turn_columns, gaps=False)
     points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
         rotations = np.empty((len(turns), 3, 3))

@@ -120,7 +120,7 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
 
 
 class CsvTable(NamedTuple):
-    """Rows of a file as cells by column, each by its line from 1; there is one.
+    """Rows of a file below its header.
 
     `key` is the column that names what a row is about: "marker" or "sensor", `point` is
     the decimal point or comma, and `source` is what was read, for messages.
@@ -128,16 +128,18 @@ class CsvTable(NamedTuple):
 
     source: str
     key: str
-    rows: dict[int, dict[str, str]]
+    header: list[str]
+    rows: NumberedCells
     point: str
 
     @property
-    def header(self) -> list[str]:
-        return list(next(iter(self.rows.values())))
+    def lines(self) -> tuple[int, ...]:
+        return tuple(line for line, _ in self.rows)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(row[self.key] for row in self.rows.values())
+        k = self.header.index(self.key)
+        return tuple(cells[k] for _, cells in self.rows)
 
     def numbers(
         self, columns: Sequence[str], *, gaps: bool = True
@@ -149,13 +151,14 @@ class CsvTable(NamedTuple):
                 finite one where `gaps` are not allowed.
         """
         self.check_columns(columns)
+        places = [self.header.index(column) for column in columns]
         values = np.empty((len(self.rows), len(columns)))
-        for i, (line, row) in enumerate(self.rows.items()):
+        of_rows = zip(self.rows, self.names, strict=True)
+        for i, ((line, cells), name) in enumerate(of_rows):
             with at_line(self.source, line):
-                for k, column in enumerate(columns):
-                    cell = row[column] or "nan"
-                    what = f"{column} of {self.key} {row[self.key]!r}"
-                    values[i, k] = parse_number(cell, self.point, what)
+                for k, place in enumerate(places):
+                    what = f"{columns[k]} of {self.key} {name!r}"
+                    values[i, k] = parse_number(cells[place] or "nan", self.point, what)
                     if not (gaps or np.isfinite(values[i, k])):
                         raise ValueError(
                             f"{what} is missing or not finite. Leave the reading out."
@@ -164,15 +167,15 @@ class CsvTable(NamedTuple):
 
     def check_columns(self, columns: Iterable[str]) -> None:
         """Raise ValueError for a column that is not in the header."""
-        header, columns = self.header, list(columns)
+        columns = list(columns)
         # A column that is asked for itself is not suggested for another.
-        others = [c for c in header if c not in columns]
+        others = [c for c in self.header if c not in columns]
         for column in columns:
-            if column not in header:
+            if column not in self.header:
                 raise ValueError(
                     f"{self.source}: column {column!r} is missing."
                     f"{suggestion(column, others)} Columns there, separated by commas, "
-                    f"semicolons or tabs: {', '.join(header)}."
+                    f"semicolons or tabs: {', '.join(self.header)}."
                 )
 
     def selected(self, values: Mapping[str, str]) -> "CsvTable":
@@ -182,13 +185,13 @@ class CsvTable(NamedTuple):
             ValueError: If there is no such column, or no such row.
         """
         self.check_columns(values)
-        rows = self.rows
+        places, rows = {c: self.header.index(c) for c in values}, self.rows
         for column, value in values.items():
-            rows = {line: row for line, row in rows.items() if row[column] == value}
+            rows = [row for row in rows if row[1][places[column]] == value]
         listed = ", ".join(f"{column} = {value}" for column, value in values.items())
         if not rows:
-            known = {c: dict.fromkeys(r[c] for r in self.rows.values()) for c in values}
-            hints = (f" Values of {c} there: {', '.join(known[c])}." for c in values)
+            known = lambda k: ", ".join(dict.fromkeys(row[k] for _, row in self.rows))
+            hints = (f" Values of {c} there: {known(k)}." for c, k in places.items())
             raise ValueError(f"{self.source}: no row has {listed}.{''.join(hints)}")
         return self._replace(rows=rows, source=f"{self.source} ({listed})")
 
@@ -256,8 +259,7 @@ def _read_all(
                 f"{path}, line {number}: {len(cells)} cells under a header of "
                 f"{len(header)} columns ({', '.join(header)}).{hint}"
             )
-    by_column = {line: dict(zip(header, cells, strict=True)) for line, cells in rows}
-    return CsvTable(str(path), key, by_column, decimal or decimal_of(lines, used))
+    return CsvTable(str(path), key, header, rows, decimal or decimal_of(lines, used))
 
 
 class MarkerTable(Module):
@@ -362,9 +364,9 @@ def read_markers(
     """
     table = read_table(path, "marker", select, delimiter=delimiter, decimal=decimal)
     columns, metres = table.coordinates(length_unit)
-    lines: dict[str, int] = {}
-    for line, name in zip(table.rows, table.names, strict=True):
-        if (first := lines.setdefault(name, line)) != line:
+    firsts: dict[str, int] = {}
+    for name, line in zip(table.names, table.lines, strict=True):
+        if (first := firsts.setdefault(name, line)) != line:
             raise ValueError(
                 f"{table.source}: marker {name!r} is there twice, in lines {first} and "
                 f"{line}; select the rows of one recording "
@@ -373,6 +375,6 @@ def read_markers(
     return MarkerTable(
         names=table.names,
         positions=metres * table.numbers(columns),
-        places=tuple(f"line {line}" for line in table.rows),
+        places=tuple(f"line {line}" for line in table.lines),
         source=table.source,
     )

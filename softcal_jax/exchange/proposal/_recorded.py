@@ -179,7 +179,7 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Read the poses of a table of rows, by the columns that tell them apart."""
     (path,) = paths
     table = readings.read_table(path, "marker")
-    rows = list(table.rows.values())
+    rows = [dict(zip(table.header, cells, strict=True)) for _, cells in table.rows]
     columns = _columns(table.header, rows)
     others = [c for c in table.header if c not in {"marker", *_OF_PLACE}]
     poses = {}
