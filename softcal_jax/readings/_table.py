@@ -151,14 +151,14 @@ class CsvTable(NamedTuple):
                 finite one where `gaps` are not allowed.
         """
         self.check_columns(columns)
-        places = [self.header.index(column) for column in columns]
+        indices = [self.header.index(column) for column in columns]
         values = np.empty((len(self.rows), len(columns)))
         of_rows = zip(self.rows, self.names, strict=True)
         for i, ((line, cells), name) in enumerate(of_rows):
             with at_line(self.source, line):
-                for k, place in enumerate(places):
+                for k, index in enumerate(indices):
                     what = f"{columns[k]} of {self.key} {name!r}"
-                    values[i, k] = parse_number(cells[place] or "nan", self.point, what)
+                    values[i, k] = parse_number(cells[index] or "nan", self.point, what)
                     if not (gaps or np.isfinite(values[i, k])):
                         raise ValueError(
                             f"{what} is missing or not finite. Leave the reading out."
@@ -185,13 +185,13 @@ class CsvTable(NamedTuple):
             ValueError: If there is no such column, or no such row.
         """
         self.check_columns(values)
-        places, rows = {c: self.header.index(c) for c in values}, self.rows
+        indices, rows = {c: self.header.index(c) for c in values}, self.rows
         for column, value in values.items():
-            rows = [row for row in rows if row[1][places[column]] == value]
+            rows = [row for row in rows if row[1][indices[column]] == value]
         listed = ", ".join(f"{column} = {value}" for column, value in values.items())
         if not rows:
-            known = lambda k: ", ".join(dict.fromkeys(row[k] for _, row in self.rows))
-            hints = (f" Values of {c} there: {known(k)}." for c, k in places.items())
+            every = lambda k: ", ".join(dict.fromkeys(row[k] for _, row in self.rows))
+            hints = (f" Values of {c} there: {every(k)}." for c, k in indices.items())
             raise ValueError(f"{self.source}: no row has {listed}.{''.join(hints)}")
         return self._replace(rows=rows, source=f"{self.source} ({listed})")
 
