@@ -3,7 +3,7 @@
 This module offers what a notebook needs. The rest is in the packages, which follow the
 method step by step: `mesh`, `materials`, `bodies`, `actuators`, `configurations`,
 `equilibrium`, `fields`, `sensitivity`, `inference`, `calibration`, `identifiability`,
-`mistakes`, `control`, `designs`, `layouts`.
+`mistakes`, `control`, `designs`, `layouts`. Measured files are read by `readings`.
 """
 
 import ast

@@ -23,9 +23,6 @@ from softcal_jax.configurations import (
     Markers as Markers,
     Observation as Observation,
     Support as Support,
-    read_markers as read_markers,
-    read_poses as read_poses,
-    register as register,
 )
 from softcal_jax.control import solve_inverse as solve_inverse
 from softcal_jax.designs import design as design
@@ -69,6 +66,11 @@ from softcal_jax.mesh import (
     select_nodes as select_nodes,
 )
 from softcal_jax.project import load_project as load_project
+from softcal_jax.readings import (
+    read_markers as read_markers,
+    read_poses as read_poses,
+    register as register,
+)
 from softcal_jax.report import (
     load_result as load_result,
     write_results as write_results,

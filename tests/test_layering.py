@@ -31,7 +31,7 @@ LAYERS = [
     {"inference"},
     {"unknowns"},
     {"calibration"},
-    {"identifiability", "control", "mistakes"},
+    {"identifiability", "control", "mistakes", "readings"},
     {"designs", "layouts"},
     {"robots"},
     {"export"},

@@ -25,7 +25,6 @@ from softcal_jax.configurations import (
     LOADS,
     Configuration,
     Support,
-    read_markers,
 )
 from softcal_jax.contact import SHAPES
 from softcal_jax.equilibrium import build_model
@@ -57,6 +56,7 @@ from softcal_jax.project._markers import (
 from softcal_jax.project._quantities import _OF_UNIT
 from softcal_jax.project._sensors import AnyEffector
 from softcal_jax.project._table import Context, Maker, _in_words, table_of
+from softcal_jax.readings import read_markers
 
 PAGE = Path(__file__).parents[1] / "reference" / "project-file.md"
 COMMANDS = PAGE.with_name("commands.md")

@@ -26,7 +26,6 @@ from softcal_jax.configurations._configuration import (
     configuration_arrays as configuration_arrays,
     configuration_lanes as configuration_lanes,
 )
-from softcal_jax.configurations._csv_table import read_table as read_table
 from softcal_jax.configurations._effector import (
     AbstractEffector as AbstractEffector,
     AbstractScalar as AbstractScalar,
@@ -49,14 +48,7 @@ from softcal_jax.configurations._effectors import (
     Observation as Observation,
     SupportReaction as SupportReaction,
 )
-from softcal_jax.configurations._markers import (
-    STD as STD,
-    Markers as Markers,
-    MarkerTable as MarkerTable,
-    Registration as Registration,
-    read_markers as read_markers,
-    register as register,
-)
+from softcal_jax.configurations._markers import STD as STD, Markers as Markers
 from softcal_jax.configurations._mechanism import (
     OTHER_POINTS as OTHER_POINTS,
     ImposedDisplacement as ImposedDisplacement,
@@ -64,20 +56,4 @@ from softcal_jax.configurations._mechanism import (
     Mechanism as Mechanism,
     actuation_arrays as actuation_arrays,
     build_mechanism as build_mechanism,
-)
-from softcal_jax.configurations._recording import (
-    Recording as Recording,
-    Traces as Traces,
-)
-from softcal_jax.configurations._recording_file import (
-    is_recording as is_recording,
-    read_c3d as read_c3d,
-    read_recording as read_recording,
-)
-from softcal_jax.configurations._tracker import (
-    PoseTable as PoseTable,
-    TrackerWarning as TrackerWarning,
-    from_quaternion as from_quaternion,
-    read_polhemus as read_polhemus,
-    read_poses as read_poses,
 )

@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from softcal_jax._module import Module
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import read_table
 from softcal_jax.fields import Region
+from softcal_jax.readings import read_table
 
 _T_STEPS, _S_STEPS = 96, 64
 """Samples along the density, and between two levels, from which searches begin."""
@@ -437,12 +437,11 @@ def read_foam_table(path: str | os.PathLike[str], infill: Infill) -> FoamTable:
         ValueError: If it is no such table; the text says what is wrong where.
     """
     path = Path(path)
-    table = read_table(path, "density", None)
+    table = read_table(path, "density")
     known = (unit for unit in _UNITS if f"E_soft_{unit}" in table.header)
     unit = next(known, "kPa")
     setting = "iso" if infill == "Phasor" else "shrink"
     columns = ["density", setting, f"E_soft_{unit}", f"E_stiff_{unit}"]
-    table.check_columns(columns)
     density, anisotropy, soft, stiff = table.numbers(columns).T
     moduli = _UNITS[unit] * soft, _UNITS[unit] * stiff
     try:

@@ -13,9 +13,9 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import is_number, readable_unit
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
-from softcal_jax.configurations import Traces
 from softcal_jax.plotting import _figure as figures
 from softcal_jax.plotting._figure import FAINT, SERIES, TEXT, Axes, PictureStyle
+from softcal_jax.readings import Traces
 
 LEAST_NAMED = 0.01  # share of a variance of which the cause is named [-]
 

@@ -9,19 +9,7 @@ from pydantic import Field, StrictBool, model_validator
 
 from softcal_jax._files import once
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    STD,
-    Markers,
-    MarkerTable,
-    Recording,
-    Registration,
-    Traces,
-    Unstated,
-    is_recording,
-    read_markers,
-    read_recording,
-    register,
-)
+from softcal_jax.configurations import STD, Markers, Unstated
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._sensors import DialectTable, Measured, Selection
 from softcal_jax.project._table import (
@@ -32,6 +20,16 @@ from softcal_jax.project._table import (
     known_name,
     table_of,
     under,
+)
+from softcal_jax.readings import (
+    MarkerTable,
+    Recording,
+    Registration,
+    Traces,
+    is_recording,
+    read_markers,
+    read_recording,
+    register,
 )
 
 _KINDS = ("between", "at", "plateau")

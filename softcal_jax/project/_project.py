@@ -16,8 +16,6 @@ from softcal_jax._units import readable
 from softcal_jax.calibration import CalibrationResult, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
-    Registration,
-    Traces,
     beyond,
     configuration_lanes,
 )
@@ -36,6 +34,7 @@ from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._design import DesignTask
 from softcal_jax.project._table import ProjectError, in_file, one_by_one, under
+from softcal_jax.readings import Registration, Traces
 from softcal_jax.unknowns import Problem, check_references
 
 _NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."

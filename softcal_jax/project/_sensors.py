@@ -16,7 +16,6 @@ from softcal_jax.configurations import (
     AbstractEffector,
     BodyFrame,
     Mechanism,
-    PoseTable,
     Unstated,
 )
 from softcal_jax.equilibrium import Model
@@ -38,6 +37,12 @@ from softcal_jax.project._table import (
     of_type,
     table_of,
     under,
+)
+from softcal_jax.readings import (
+    PoseTable,
+    from_quaternion,
+    read_polhemus,
+    read_poses,
 )
 
 Selection = dict[str, str]
@@ -85,7 +90,7 @@ class OrientationTable(Table):
         The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
         """
         if self.quaternion is not None:
-            return configurations.from_quaternion(self.quaternion)
+            return from_quaternion(self.quaternion)
         if self.rotation_vector is not None:
             return Rotation.from_rotvec(self.rotation_vector).as_matrix()
         angles = [self.azimuth or 0.0, self.elevation or 0.0, self.roll or 0.0]
@@ -174,7 +179,7 @@ class PoseFileTable(MotionSource, DialectTable):
     displacement_from: Selection | None = None
 
     def seen(self, base: Pose) -> Seen:
-        rows = configurations.read_poses(self.file, select=self.select, **self.dialect)
+        rows = read_poses(self.file, select=self.select, **self.dialect)
         one = rows if self.sensor is None else rows.readings_of(self.sensor)
         return _mean(one, base)
 
@@ -196,7 +201,7 @@ class PolhemusFileTable(MotionSource):
 
     def seen(self, base: Pose) -> Seen:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
-        return _mean(configurations.read_polhemus(self.file, **options), base)
+        return _mean(read_polhemus(self.file, **options), base)
 
 
 def _found(patterns: tuple[str, ...], info: Any) -> Any:

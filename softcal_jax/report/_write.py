@@ -22,7 +22,6 @@ from softcal_jax.calibration import (
     SourceFile,
     simulation_result,
 )
-from softcal_jax.configurations import Traces
 from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.fields import field_standard_errors
@@ -35,6 +34,7 @@ from softcal_jax.plotting import (
     rendering_problem,
 )
 from softcal_jax.project import Project, printed_project
+from softcal_jax.readings import Traces
 from softcal_jax.report._html import (
     Html,
     closing,

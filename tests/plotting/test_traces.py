@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from softcal_jax.configurations import Recording, Traces
 from softcal_jax.plotting import draw_traces, plot_traces
+from softcal_jax.readings import Recording, Traces
 
 
 def traces(*, names=("tip", "base"), windows=None):

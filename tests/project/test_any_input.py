@@ -19,9 +19,9 @@ from recordings import (
 from small_project import MARKERS, PROJECT, write_small_project
 
 from softcal_jax.calibration._checkpoint import read_checkpoint, write_checkpoint
-from softcal_jax.configurations import read_markers, read_recording
 from softcal_jax.exchange.camera import read_photo, tag_cells
 from softcal_jax.project import ProjectError, load_project
+from softcal_jax.readings import read_markers, read_recording
 from softcal_jax.report import ResultError, load_values
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
 

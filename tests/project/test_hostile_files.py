@@ -9,13 +9,13 @@ import pytest
 from small_project import MARKERS, write_small_project
 from wording import says
 
-from softcal_jax.configurations import _csv_table
 from softcal_jax.project import (
     ProjectError,
     guesses_left,
     load_project,
     quantities_as_read,
 )
+from softcal_jax.readings import _table
 
 CELLS = "cells = [3, 1, 1]"
 SETTINGS = "\n[settings]\n"
@@ -233,9 +233,9 @@ def test_a_byte_order_mark(tmp_path, name):
 
 def test_a_table_is_split_once_for_all_poses(tmp_path, monkeypatch):
     """Six windows and selections; and again if it has changed, at the same size."""
-    lines, split = [], _csv_table.read_lines
+    lines, split = [], _table.read_lines
     read = lambda *given: lines.append(given) or split(*given)
-    monkeypatch.setattr(_csv_table, "read_lines", read)
+    monkeypatch.setattr(_table, "read_lines", read)
     path = write_small_project(tmp_path)
     before = load_project(path).calibration[0].measured
     assert len(lines) == 1

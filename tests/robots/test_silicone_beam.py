@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from softcal_jax.configurations import read_markers
 from softcal_jax.project import load_project
+from softcal_jax.readings import read_markers
 from softcal_jax.robots import ready_made_path
 
 

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax import configurations
+from softcal_jax import readings
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
-from softcal_jax.configurations import MarkerTable
 from softcal_jax.exchange.proposal._body import Actuated, Body, Held
 from softcal_jax.project import recognised, toml_value
+from softcal_jax.readings import MarkerTable
 
 _REST = re.compile(
     r"(?<![a-z])(rest|unloaded|zero|reference|initial|home)(?![a-z])"
@@ -139,7 +139,7 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
 
     The size `across` of the robot [m] serves to guess a unit that no file states.
     """
-    kinds = [configurations.is_recording(path) for path in paths]
+    kinds = [readings.is_recording(path) for path in paths]
     over_time = all(kinds)
     if len(paths) > 1 and not over_time:
         raise ValueError(
@@ -178,15 +178,16 @@ def _likely_unit(pose: RecordedPose, across: float) -> str:
 def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Read the poses of a table of rows, by the columns that tell them apart."""
     (path,) = paths
-    table = configurations.read_table(path, "marker", None)
-    columns = _columns(table.header, table.rows)
+    table = readings.read_table(path, "marker")
+    rows = [dict(zip(table.header, cells, strict=True)) for _, cells in table.rows]
+    columns = _columns(table.header, rows)
     others = [c for c in table.header if c not in {"marker", *_OF_PLACE}]
     poses = {}
-    for row in table.rows:
+    for row in rows:
         select = {c: row[c] for c in columns}
         if (key := toml_value(select)) in poses:
             continue
-        seen = _seen(configurations.read_markers(path, length_unit=unit, select=select))
+        seen = _seen(readings.read_markers(path, length_unit=unit, select=select))
         ends = {c: re.split(r"[^a-zA-Z0-9]+", c.strip(")]"))[1:][-1:] for c in others}
         said = {f"the column {c}": " ".join([row[c], *ends[c]]) for c in others}
         name = " ".join(select.values()) or "pose"
@@ -227,7 +228,7 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Take 0.1 s at the start of the first recording as rest, at each end as a pose."""
     poses = []
     for path in paths:
-        recording = configurations.read_recording(path, length_unit=unit)
+        recording = readings.read_recording(path, length_unit=unit)
         # Rounded down, the end does not lie behind the last frame.
         last = math.floor(1e4 * float(recording.times[-1])) / 1e4
         width = min(0.1, last)

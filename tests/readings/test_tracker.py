@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from softcal_jax.configurations import TrackerWarning, read_polhemus, read_poses
+from softcal_jax.readings import TrackerWarning, read_polhemus, read_poses
 
 HEADER = "sensor,x_mm,y_mm,z_mm,azimuth_deg,elevation_deg,roll_deg\n"
 QUATERNIONS = "sensor,x_m,y_m,z_m,qw,qx,qy,qz\n"

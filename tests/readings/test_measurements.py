@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from softcal_jax.configurations import read_markers
+from softcal_jax.readings import read_markers
 
 TABLE = """\
 # Two states of one run.

@@ -7,21 +7,21 @@ import pytest
 from recordings import NAMES, RATE, motion, write_recording
 from wording import says
 
-from softcal_jax.configurations import Recording, TrackerWarning, read_c3d
+from softcal_jax.readings import Recording, TrackerWarning, read_recording
 
 pytest.importorskip("ezc3d")
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("m", 1.0)])
 def test_positions_come_in_metres(tmp_path, unit, metres):
-    recording = read_c3d(write_recording(tmp_path / "a.c3d", motion(), unit=unit))
+    recording = read_recording(write_recording(tmp_path / "a.c3d", motion(), unit=unit))
     assert recording.names == NAMES
     np.testing.assert_allclose(recording.times, np.arange(40) / RATE, atol=1e-12)
     np.testing.assert_allclose(recording.positions, metres * motion(), rtol=1e-6)
 
 
 def test_windows_count_from_the_step(tmp_path):
-    recording = read_c3d(write_recording(tmp_path / "a.c3d", motion()))
+    recording = read_recording(write_recording(tmp_path / "a.c3d", motion()))
     assert recording.step_of("tip") == pytest.approx(0.21)  # 6 of 60 mm: above 5 %
     both = recording.between(0.1, 0.12, after_step_of="tip")
     expected = [1e-3 * np.mean([36.0, 39.0, 42.0]), 3e-3]
@@ -37,7 +37,7 @@ def test_frames_that_do_not_see_a_marker_are_left_out(tmp_path):
     residuals = np.full((40, 2), 2.0)  # mm, of markers that were seen
     residuals[30, 1] = residuals[:, 0] = -1.0
     path = write_recording(tmp_path / "a.c3d", motion(), residuals=residuals)
-    recording = read_c3d(path)
+    recording = read_recording(path)
     assert np.isnan(recording.positions[30, 1]).all()
     table = recording.between(0.29, 0.31)
     np.testing.assert_allclose(table.positions_of(["tip"])[0, 2], 33e-3, rtol=1e-6)
@@ -69,7 +69,7 @@ def test_a_damaged_file_does_not_end_the_process(tmp_path):
             damaged[place] = rng.integers(256)
         (tmp_path / f"{k}.c3d").write_bytes(damaged)
         try:
-            read_c3d(tmp_path / f"{k}.c3d")
+            read_recording(tmp_path / f"{k}.c3d")
         except ValueError as error:
             refused.append(str(error))
     assert refused
@@ -78,23 +78,23 @@ def test_a_damaged_file_does_not_end_the_process(tmp_path):
 
 def test_files_that_are_no_recordings_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.c3d .*exist"):
-        read_c3d(tmp_path / "none.c3d")
+        read_recording(tmp_path / "none.c3d")
     text = tmp_path / "text.c3d"
     text.write_text("marker,x,y,z\n")
     with pytest.raises(ValueError, match=r"text\.c3d cannot"):
-        read_c3d(text)
+        read_recording(text)
     path = write_recording(tmp_path / "a.c3d", motion(), unit="furlong")
     with pytest.raises(ValueError, match=r"unit .*'furlong'; .* mm"):
-        read_c3d(path)
+        read_recording(path)
     path = write_recording(tmp_path / "b.c3d", motion(), rate=-100.0)
     with pytest.raises(ValueError, match=r"rate .* -100, not positive"):
-        read_c3d(path)
+        read_recording(path)
 
 
 def test_events_count_from_the_first_frame(tmp_path):
     path = tmp_path / "a.c3d"
     events = (("valve opens", 0.15), ("valve closes", 61.5), ("valve closes", 62.0))
-    recording = read_c3d(write_recording(path, motion(), events=events))
+    recording = read_recording(write_recording(path, motion(), events=events))
     assert [name for name, _ in recording.events] == [name for name, _ in events]
     assert recording.time_of("valve opens") == pytest.approx(0.15)
     assert [t for _, t in recording.events] == pytest.approx([t for _, t in events])
@@ -115,7 +115,7 @@ def test_events_of_a_part_of_a_trial(tmp_path):
     """They count from the first frame of the trial, of which half a second is gone."""
     path, events = tmp_path / "a.c3d", (("valve opens", 0.65),)
     write_recording(path, motion(), events=events, first_frame=50)
-    assert read_c3d(path).time_of("valve opens") == pytest.approx(0.15)
+    assert read_recording(path).time_of("valve opens") == pytest.approx(0.15)
 
 
 def test_all_labels_and_events_are_read(tmp_path):
@@ -125,7 +125,7 @@ def test_all_labels_and_events_are_read(tmp_path):
     events = [(f"e{k}", 0.01 * k) for k in range(7)]
     path = tmp_path / "many.c3d"
     write_recording(path, positions, labels=labels, events=events, per_key=3)
-    recording = read_c3d(path)
+    recording = read_recording(path)
     assert recording.names == tuple(labels)
     np.testing.assert_allclose(recording.positions, 1e-3 * positions, rtol=1e-6)
     assert [name for name, _ in recording.events] == [name for name, _ in events]
@@ -136,7 +136,7 @@ def test_points_without_a_label_are_left_out(tmp_path):
     path, positions = tmp_path / "a.c3d", np.tile(motion(), (1, 2, 1))
     write_recording(path, positions, labels=("base", "", "tip", " "))
     with pytest.warns(TrackerWarning, match=r"a\.c3d: 2 of 4 markers have no label"):
-        recording = read_c3d(path)
+        recording = read_recording(path)
     assert recording.names == ("base", "tip")
     np.testing.assert_allclose(recording.positions, 1e-3 * positions[:, ::2], rtol=1e-6)
 
@@ -145,7 +145,7 @@ def test_zeros_are_gaps(tmp_path):
     """A marker at the origin to the last digit was not seen, whoever wrote that."""
     positions = motion()
     positions[25:30, 1] = 0.0
-    recording = read_c3d(write_recording(tmp_path / "a.c3d", positions))
+    recording = read_recording(write_recording(tmp_path / "a.c3d", positions))
     assert np.isnan(recording.positions[25:30, 1]).all()
     height = recording.between(0.24, 0.30).positions_of(["tip"])[0, 2]
     assert height == pytest.approx(1e-3 * np.mean([15.0, 33.0]))

@@ -21,42 +21,96 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._apart import run_apart
-from softcal_jax._files import check_file
+from softcal_jax._files import check_file, once
 from softcal_jax._text import check_known, escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
-from softcal_jax.configurations import _csv_table as csv_table
-from softcal_jax.configurations._csv_table import NumberedCells
-from softcal_jax.configurations._recording import Recording
-from softcal_jax.configurations._tracker import TrackerWarning
+from softcal_jax.readings._recording import Recording
+from softcal_jax.readings._table import (
+    NumberedCells,
+    TrackerWarning,
+    at_line,
+    check_dialect,
+    decimal_of,
+    parse_number,
+    read_cells,
+)
 
-C3D = ".c3d"
+_C3D = ".c3d"
 
 
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording over time; it may be any text."""
-    if path.suffix.lower() == C3D:
+    if path.suffix.lower() == _C3D:
         return True
     return _reader_of(_rows_of(path, None)[0]) is not None
 
 
-def read_c3d(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording of motion capture, with the units that the file states.
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Recording:
+    """Read a recording: C3D, text of Motive, Nexus or QTM, or numbers.
 
-    The format is that of www.c3d.org. A frame in which a marker has a negative
-    residual, or is at exactly (0, 0, 0), did not see it.
+    Of C3D, the format of www.c3d.org, labels and units are those of the file, and a
+    negative residual says that a marker was not seen. It needs ezc3d.
+
+    A table of numbers alone has the time in seconds, perhaps after the number of the
+    frame, then x, y, z of each marker; markers are named by place, "1", "2" and so on.
+    Of other text, labels and unit are those of the header. Blank cells are occlusions,
+    and so are markers at exactly (0, 0, 0), which QTM and scripts write instead. Of
+    Motive's columns only the measured ones, of type "Marker", are read, and not those
+    that it computes from rigid bodies.
+
+    Options are for text only. The `length_unit` is for a file that states none, like
+    those of QTM (which are in mm) or of numbers alone; `delimiter` and `decimal` are as
+    for `read_markers`.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ImportError: If ezc3d is not installed.
-        ValueError: If it cannot be read, holds no frames, no markers or two of one
-            label, or states no positive rate or no known unit of length.
+        ImportError: If it is a .c3d file, and ezc3d is not installed.
+        ValueError: If an option is given for a .c3d file; or if it cannot be read as
+            one of these, holds no frames or no markers, or one label twice, states no
+            positive rate or no known unit of length, or a cell is not a number.
+
+    Warns:
+        TrackerWarning: If markers without a label are left out.
     """
+    path = Path(path)
+    if path.suffix.lower() != _C3D:
+        return _read_text(path, length_unit, delimiter, decimal)
+    options = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
+    for key, value in options.items():
+        if value is not None:
+            raise ValueError(f"{key} is for tables; leave it out for {path}.")
+    return _read_c3d(path)
+
+
+def _recording(
+    path: Path,
+    labels: Sequence[str],
+    times: Float[HostArray, " n_frames"],
+    positions: Float[HostArray, "n_frames n_markers 3"],
+    events: tuple[tuple[str, float], ...],
+) -> Recording:
+    """Leave out markers without a label; one at exactly (0, 0, 0) was not seen."""
+    positions[~positions.any(axis=2)] = np.nan
+    named = [k for k, label in enumerate(labels) if label.strip()]
+    if n := len(labels) - len(named):
+        text = f"{path}: {n} of {len(labels)} markers have no label and are left out."
+        warnings.warn(text, TrackerWarning, stacklevel=4)
+    names = tuple(labels[k] for k in named)
+    return Recording(names, times, positions[:, named], str(path), events)
+
+
+def _read_c3d(path: Path) -> Recording:
     if importlib.util.find_spec("ezc3d") is None:
         raise ImportError(
             "reading .c3d files needs ezc3d: pip install 'softcal-jax[mocap]'."
         )
-    path = Path(path)
     check_file(path, "recording")
     try:
         program = Path(__file__).with_name("_c3d_program.py")
@@ -70,19 +124,13 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
         times -= data["first_frame"] / rate
     except (LookupError, MemoryError, OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"recording {path} cannot be read: {error}.") from error
-    metres = checked_metres(path, rate, _texts(point, "UNITS", 1)[0])
+    metres = _checked_metres(path, rate, _texts(point, "UNITS", 1)[0])
     positions = metres * np.transpose(np.asarray(data["points"], float)[:3], (2, 1, 0))
     positions[np.asarray(data["residuals"])[0].T < 0.0] = np.nan
-    positions[~positions.any(axis=2)] = np.nan
     labels = _texts(point, "LABELS", positions.shape[1])
-    named, events = _named(path, labels), _texts(event, "LABELS", times.size)
-    return Recording(
-        names=tuple(labels[k] for k in named),
-        times=np.arange(len(positions)) / rate,
-        positions=positions[:, named],
-        source=str(path),
-        events=tuple(zip(events, times.tolist(), strict=True)),
-    )
+    events = zip(_texts(event, "LABELS", times.size), times.tolist(), strict=True)
+    frames = np.arange(len(positions)) / rate
+    return _recording(path, labels, frames, positions, tuple(events))
 
 
 def _parts(group: Any, key: str) -> list[Any]:
@@ -94,16 +142,6 @@ def _parts(group: Any, key: str) -> list[Any]:
 def _texts(group: Any, key: str, n: int) -> list[str]:
     texts = [escaped(text) for part in _parts(group, key) for text in part]
     return [*texts, *[""] * n][:n]
-
-
-def _named(path: Path, labels: Sequence[str]) -> list[int]:
-    """Return the places of labels that are not blank; a warning counts the others."""
-    named = [k for k, label in enumerate(labels) if label.strip()]
-    if len(named) < len(labels):
-        n = len(labels) - len(named)
-        text = f"{path}: {n} of {len(labels)} markers have no label and are left out."
-        warnings.warn(text, TrackerWarning, stacklevel=3)
-    return named
 
 
 _AXES = ["X", "Y", "Z"]
@@ -133,41 +171,11 @@ class _Layout(NamedTuple):
     events: tuple[tuple[str, float], ...] = ()
 
 
-def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    length_unit: str | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
+def _read_text(
+    path: Path, length_unit: str | None, delimiter: str | None, decimal: str | None
 ) -> Recording:
-    """Read a recording: C3D, see `read_c3d`, text of Motive, Nexus or QTM, or numbers.
-
-    A table of numbers alone has the time in seconds, perhaps after the number of the
-    frame, then x, y, z of each marker; markers are named by place, "1", "2" and so on.
-    Of other text, labels and unit are those of the header. Blank cells are occlusions,
-    and so are markers at exactly (0, 0, 0), which QTM and scripts write instead. Of
-    Motive's columns only the measured ones, of type "Marker", are read, and not those
-    that it computes from rigid bodies.
-
-    Options are for text only. The `length_unit` is for a file that states none, like
-    those of QTM (which are in mm) or of numbers alone; `delimiter` and `decimal` are as
-    for `read_markers`.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: As `read_c3d`, or if an option is given for a .c3d file; or if it is
-            none of these tables, holds no frames or no markers, or one label twice,
-            states no known unit of length, or a cell is not a number.
-    """
-    path = Path(path)
-    if path.suffix.lower() == C3D:
-        options = {"length_unit": length_unit, "delimiter": delimiter}
-        for key, value in {**options, "decimal": decimal}.items():
-            if value is not None:
-                raise ValueError(f"{key} is for tables; leave it out for {path}.")
-        return read_c3d(path)
-    csv_table.check_dialect(delimiter, decimal)
-    rows, delimiter = _rows_of(path, delimiter)
+    check_dialect(delimiter, decimal)
+    rows, used = _rows_of(path, delimiter)
     if rows and "marker" in rows[0][1]:
         raise ValueError(
             f"{path} is a table of rows, with a column marker: take its rows by values "
@@ -187,28 +195,23 @@ def read_recording(
         raise ValueError(
             f"{path} is not laid out as it begins ({error}): export {needed}."
         ) from error
-    metres = checked_metres(path, layout.rate, layout.unit, length_unit)
-    point = decimal or csv_table.decimal_of((c for _, c in layout.rows), delimiter)
+    metres = _checked_metres(path, layout.rate, layout.unit, length_unit)
+    point = decimal or decimal_of(layout.rows, used)
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
     labels = [label for label, _ in layout.labels]
-    named = _named(path, labels)
-    return Recording(
-        names=tuple(labels[k] for k in named),
-        times=times - begin,
-        positions=metres * positions[:, named],
-        source=str(path),
-        events=tuple((name, time - begin) for name, time in layout.events),
-    )
+    events = tuple((name, time - begin) for name, time in layout.events)
+    return _recording(path, labels, times - begin, metres * positions, events)
 
 
+@once
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     """Split a file into cells, by a given delimiter or else that of the header."""
-    rows, used = csv_table.read_cells(path, "recording", delimiter, 12)
+    rows, used = read_cells(path, "recording", delimiter, 12)
     return [(number, cells) for number, cells in rows if any(cells)], used
 
 
-def checked_metres(
+def _checked_metres(
     path: Path, rate: float, stated: str | None, given: str | None = None
 ) -> float:
     """Check the rate of frames; return the unit of length, as stated or given [m]."""
@@ -243,21 +246,19 @@ def _numbers(
     for i, (line, cells) in enumerate(layout.rows):
         # Spreadsheets leave out blank cells at the end of a row.
         cells = [*cells, *[""] * (max(columns, default=0) + 1 - len(cells))]
-        with csv_table.at_line(path, line):
+        with at_line(path, line):
             count = cells[layout.time_column] if layout.time_column is not None else i
-            times[i] = csv_table.parse_number(str(count), point) / layout.rate
+            times[i] = parse_number(str(count), point) / layout.rate
             for k, column in enumerate(columns):
                 if cells[column].lower() not in _GAPS:
-                    values[i, k] = csv_table.parse_number(cells[column], point, _CELL)
+                    values[i, k] = parse_number(cells[column], point, _CELL)
             before = times[i - 1] if i else -math.inf
             if not before < times[i] < math.inf:
                 raise ValueError(
                     f"its time, {times[i]:g} s, is not after that of the frame before, "
                     f"{before:g} s."
                 )
-    positions = values.reshape(len(times), -1, 3)
-    positions[~positions.any(axis=2)] = np.nan
-    return times, positions
+    return times, values.reshape(len(times), -1, 3)
 
 
 def _starts(rows: NumberedCells) -> list[str]:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations import PoseTable
+from softcal_jax.readings import PoseTable
 
 
 def rows(positions, rotations, names=None):

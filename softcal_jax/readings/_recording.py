@@ -9,7 +9,7 @@ from softcal_jax._module import Module
 from softcal_jax._text import check_unique
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable_values
-from softcal_jax.configurations._markers import MarkerTable, index_of
+from softcal_jax.readings._table import MarkerTable, index_of
 
 STEP = 0.05
 """Share of the largest motion of a marker from which it has begun to move [-]."""

@@ -1,4 +1,4 @@
-"""Poses of the sensors of a 6-D tracker: their files, change of frame, and means."""
+"""Frames: poses of the sensors of a 6-D tracker, and that of the cameras."""
 
 import os
 import warnings
@@ -7,22 +7,25 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._text import SoftcalWarning, check_known, shortened, suggestion
+from softcal_jax._text import check_known, shortened, suggestion
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import METRES
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations import _csv_table as csv_table
-from softcal_jax.configurations._csv_table import CsvTable
+from softcal_jax.readings._table import (
+    CsvTable,
+    TrackerWarning,
+    at_line,
+    parse_number,
+    read_lines,
+    read_table,
+)
 
 _ONE_POSE = np.deg2rad(30.0)
 """Largest turn of a reading of one pose from the mean of the readings [rad]."""
-
-
-class TrackerWarning(SoftcalWarning):
-    """Something in a file of a tracker or of motion capture that may be a mistake."""
 
 
 class PoseTable(Module):
@@ -45,6 +48,11 @@ class PoseTable(Module):
     source: str
 
     def readings_of(self, name: str) -> "PoseTable":
+        """Return the readings of one sensor.
+
+        Raises:
+            ValueError: If there are none.
+        """
         rows = [i for i, other in enumerate(self.names) if other == name]
         if not rows:
             known = dict.fromkeys(self.names)
@@ -126,29 +134,20 @@ def read_poses(
     Warns:
         TrackerWarning: If angles in degrees look like radians.
     """
-    dialect = {"delimiter": delimiter, "decimal": decimal}
-    table = csv_table.read_table(path, "sensor", select, **dialect)
-    point_columns, metres = csv_table.coordinates(table, length_unit)
+    table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
+    columns, metres = table.coordinates(length_unit)
     turn_columns = _turn_columns(table)
-    columns = point_columns + turn_columns
-    values = table.numbers(columns)
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        row, k = bad[0]
-        raise ValueError(
-            f"{table.path}, line {table.lines[row]}: {columns[k]} of sensor "
-            f"{table.names[row]!r} is missing or not finite. Leave the reading out."
-        )
+    lines, values = table.lines, table.numbers(columns + turn_columns, gaps=False)
     points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
         rotations = np.empty((len(turns), 3, 3))
-        for i, line in enumerate(table.lines):
-            with csv_table.at_line(table.path, line):
+        for i, line in enumerate(lines):
+            with at_line(table.source, line):
                 rotations[i] = from_quaternion(turns[i])
     else:
         unit = turn_columns[0].removeprefix("azimuth_")
-        rotations = _from_angles(table.path, table.lines, turns, unit)
-    return PoseTable(table.names, points, rotations, table.lines, table.source)
+        rotations = _from_angles(table.source, lines, turns, unit)
+    return PoseTable(table.names, points, rotations, lines, table.source)
 
 
 def read_polhemus(
@@ -178,7 +177,7 @@ def read_polhemus(
     path = Path(path)
     readings = [
         (line, _seven_numbers(path, line, text))
-        for line, text in csv_table.read_lines(path, "tracker")
+        for line, text in read_lines(path, "tracker")
     ]
     chosen = [(n, v) for n, v in readings if station is None or v[0] == station]
     if not chosen:
@@ -192,29 +191,28 @@ def read_polhemus(
     return PoseTable(
         names=tuple(f"station {number:.0f}" for number in values[:, 0]),
         positions=METRES[length_unit] * values[:, 1:4],
-        rotations=_from_angles(path, lines, values[:, 4:], angle_unit),
+        rotations=_from_angles(str(path), lines, values[:, 4:], angle_unit),
         lines=lines,
         source=str(path),
     )
 
 
 def _turn_columns(table: CsvTable) -> list[str]:
-    path, header = table.path, table.header
+    header = table.header
     forms = [[f"{angle}_{unit}" for angle in _ANGLES] for unit in _RADIANS]
     kinds = [form for form in (_QUATERNION, *forms) if set(form) & set(header)]
     if len(kinds) != 1:
         raise ValueError(
-            f"{path}: it has the rotation with a unit in {len(kinds)} forms, expected "
-            "one: the columns azimuth_deg, elevation_deg, roll_deg (or azimuth_rad, "
-            f"...) or qw, qx, qy, qz. Columns there: {', '.join(header)}."
+            f"{table.source}: it has the rotation with a unit in {len(kinds)} forms, "
+            "expected one: the columns azimuth_deg, elevation_deg, roll_deg (or "
+            f"azimuth_rad, ...) or qw, qx, qy, qz. Columns there: {', '.join(header)}."
         )
-    table.check_columns(kinds[0])
     return kinds[0]
 
 
 def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
     try:
-        values = [csv_table.parse_number(cell, ".") for cell in text.split()]
+        values = [parse_number(cell, ".") for cell in text.split()]
     except ValueError:
         values = []
     if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:
@@ -243,7 +241,7 @@ def from_quaternion(
 
 
 def _from_angles(
-    path: Path, lines: tuple[int, ...], angles: Float[HostArray, "n 3"], unit: str
+    source: str, lines: tuple[int, ...], angles: Float[HostArray, "n 3"], unit: str
 ) -> Float[HostArray, "n 3 3"]:
     """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-]."""
     # With some tolerance, since trackers print few digits: 1.571 is a right angle.
@@ -252,7 +250,7 @@ def _from_angles(
     if outside.size:
         row, k = outside[0]
         raise ValueError(
-            f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
+            f"{source}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
             f"{unit}, beyond {limits[k]:.4g} {unit}: check the unit of the angles, "
             "angle_unit or columns like azimuth_deg."
         )
@@ -260,9 +258,80 @@ def _from_angles(
     sizes = np.abs(angles).max(axis=0)
     if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
         warnings.warn(
-            f"{path}: every angle lies within half a turn if it is in radians. If they "
-            "are not degrees, say so by angle_unit or columns like azimuth_rad.",
+            f"{source}: every angle lies within half a turn if it is in radians. If "
+            "they are not degrees, say so by angle_unit or columns like azimuth_rad.",
             TrackerWarning,
             stacklevel=3,
         )
     return Rotation.from_euler("ZYX", angles * _RADIANS[unit]).as_matrix()
+
+
+class Registration(Module):
+    """A rigid motion fitted to markers that are known in both frames.
+
+    Attributes:
+        rotation: Rotation matrix, camera axes to mesh axes [-].
+        translation: Translation after the rotation [m].
+        residuals: Residual of each marker used, in the mesh frame [m].
+    """
+
+    rotation: Float[HostArray, "3 3"]
+    translation: Float[HostArray, "3"]
+    residuals: Float[HostArray, "n_used 3"]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residual distances [m]."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
+
+    def apply(self, points: Float[ArrayLike, "n 3"]) -> Float[HostArray, "n 3"]:
+        """Move points from the camera frame to the mesh frame [m]."""
+        return np.asarray(points, float) @ self.rotation.T + self.translation
+
+
+def register(
+    measured: Float[ArrayLike, "n_markers 3"],
+    nominal: Float[ArrayLike, "n_markers 3"],
+    *,
+    rotation: Float[ArrayLike, "3 3"] | None = None,
+) -> Registration:
+    """Fit the rigid motion that takes measured markers onto nominal positions.
+
+    The least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
+    `scipy.spatial.transform.Rotation.align_vectors`. Positions are `measured` in the
+    camera frame and `nominal` in the mesh frame [m]. With a known `rotation`, camera
+    axes to mesh axes, one marker is enough [-].
+
+    Raises:
+        ValueError: If there are not three finite markers in both that span a triangle,
+            or not one where the rotation is known.
+    """
+    measured, nominal = np.asarray(measured, float), np.asarray(nominal, float)
+    if measured.shape != nominal.shape or measured.ndim != 2 or measured.shape[1] != 3:
+        raise ValueError(
+            "registration needs as many measured as nominal markers, shape "
+            f"(n, 3) each [m], got {measured.shape} and {nominal.shape}."
+        )
+    least = 3 if rotation is None else 1
+    if len(measured) < least or not np.all(np.isfinite([measured, nominal])):
+        raise ValueError(
+            f"registration needs at least {least} finite markers, got {len(measured)}."
+        )
+    R = _rotation_onto(measured, nominal) if rotation is None else np.asarray(rotation)
+    t = nominal.mean(axis=0) - R @ measured.mean(axis=0)
+    return Registration(R, t, measured @ R.T + t - nominal)
+
+
+def _rotation_onto(measured, nominal) -> Float[HostArray, "3 3"]:
+    """Fit the rotation; the markers must span a triangle."""
+    for kind, points in (("measured", measured), ("nominal", nominal)):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        # Far from the origin, rounding spreads even points that coincide.
+        if spread[1] <= max(1e-6 * spread[0], 1e-12 * np.abs(points).max()):
+            raise ValueError(
+                f"the {kind} markers of the registration lie on a line, which leaves a "
+                "rotation free: choose at least three that span a triangle."
+            )
+    about = [points - points.mean(axis=0) for points in (nominal, measured)]
+    turn, *_ = Rotation.align_vectors(*about)
+    return turn.as_matrix()

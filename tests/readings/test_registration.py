@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.configurations import register
+from softcal_jax.readings import register
 
 RNG = np.random.default_rng(0)
 NOMINAL = RNG.uniform(-0.1, 0.1, (6, 3))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_motive, write_qualisys, write_vicon
 
-from softcal_jax.configurations import (
+from softcal_jax.readings import (
     TrackerWarning,
     is_recording,
     read_recording,
