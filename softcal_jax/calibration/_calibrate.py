@@ -212,6 +212,12 @@ def checked_problem(
     poses = (*fitted, *held_out)
     problem, repeats = _problem(model, space, poses, newton, uncertain, goals)
     problem = replace(problem, n_held_out=len(held_out))
+    for c in fitted:
+        if c.after in {other.name for other in held_out}:
+            raise ValueError(
+                f"configuration {c.name!r} comes after {c.after!r}, which is held out: "
+                "fit that one too. It need not be measured."
+            )
     check_scopes(space, fitted)
     check_effects(problem.fitted)
     check_references(poses, problem.records, fitted=fitted)

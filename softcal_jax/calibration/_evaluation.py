@@ -3,7 +3,6 @@
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import equinox as eqx
@@ -239,11 +238,11 @@ class Evaluator:
         guess: Float[Array, "n_lanes n_points 3"],
         before: Float[Array, "n_lanes n_points 3"] | None,
         precise: bool | Bool[Array, ""],
-        known: Mapping[int, Response] = MappingProxyType({}),
+        known: Mapping[int, Response] | None = None,
     ) -> list[Response]:
         both = guess, guess if before is None else before
         states = dict(zip(lanes, zip(*map(unstacked, both), strict=True), strict=True))
-        exact, responses = jax.device_put(precise), dict(known)
+        exact, responses = jax.device_put(precise), dict(known or {})
         off = self.problem.deviations  # of the specimen of each lane
 
         def arguments(c: int) -> tuple:
@@ -276,8 +275,8 @@ class Evaluator:
         if slopes is None:  # nothing remembers
             return lane.following(before, response.equilibrium.displacement), None
         assert response.displacement is not None
-        new = slopes, np.asarray(response.displacement)[:, None]
-        slopes = np.concatenate([*map(np.asarray, new)], axis=1)[:, 1:]
+        new = np.asarray(slopes), np.asarray(response.displacement)[:, None]
+        slopes = np.concatenate(new, axis=1)[:, 1:]
         lane = lane.following(before, np.asarray(response.equilibrium.displacement))
         return jax.device_put((lane, slopes))
 
@@ -294,7 +293,7 @@ class Evaluator:
         z: Float[Array, " n_p"],
         solution: EquilibriumSolution,
         precise: bool | Bool[Array, ""] = False,
-        known: Mapping[int, Response] = MappingProxyType({}),
+        known: Mapping[int, Response] | None = None,
     ) -> list[Response]:
         """Add the compliances to equilibria that were solved.
 

@@ -203,11 +203,9 @@ def _from_nearest(
             calls[waiting[0]] = partial(lanes.solve, lane_at[waiting[0]], last)
         run(calls)
     while lane_at:
-        ends, each = (
-            failed | states,
-            [(row, c, earlier[row]) for row, c in lane_at.items()],
-        )
-        run({row: lanes.after(c, ends[p]) for row, c, p in each if p in ends})
+        ends, each = failed | states, [*lane_at.items()]
+        before = {row: ends[p] for row, _ in each if (p := earlier[row]) in ends}
+        run({row: lanes.after(c, before[row]) for row, c in each if row in before})
 
 
 class _Lanes:

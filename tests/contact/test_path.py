@@ -23,7 +23,7 @@ from softcal_jax.mesh import beam
 from softcal_jax.robots import synthetic_measurements
 
 E, MU, SIDE, HIGH, DEPTH = 1e5, 0.3, 0.02, 0.004, 1e-4
-DOWN = (0.0, 0.0, -DEPTH)
+NAME = "friction of plate"
 
 
 def pad(mu: float = MU):
@@ -95,7 +95,7 @@ PATH += [pose("less", 1e-3 - 3e-5, "pushed")]
 
 
 def problem_of(model, poses):
-    truth = {"E": E, "friction of plate": MU}
+    truth = {"E": E, NAME: MU}
     read = synthetic_measurements(model, SPACE, poses, truth)
     newton = NewtonSettings(rtol=1e-11)
     return build_problem(model, SPACE, read, newton, uncertain=exactly_known())
@@ -120,7 +120,7 @@ def test_derivatives_of_what_comes_after_another():
 
 
 def test_friction_is_calibrated_from_a_way_whose_beginning_is_not_measured():
-    truth = {"E": E, "friction of plate": MU}
+    truth = {"E": E, NAME: MU}
     read = synthetic_measurements(PAD, SPACE, PATH, truth)
     options = {"noise": "stated", "starts": 1, "intervals": None}
     poses = [PATH[0], *read[1:]]
@@ -145,3 +145,9 @@ def test_a_pose_alone_says_what_it_comes_after():
         solve_equilibrium(PAD, lanes(PAD, PATH)[1])
     with pytest.raises(ValueError, match="'pressed'"):
         solve_equilibrium(PAD, PATH[1])
+
+
+def test_a_fitted_pose_does_not_come_after_one_that_is_held_out():
+    first, second, _ = synthetic_measurements(PAD, SPACE, PATH, {"E": E, NAME: MU})
+    with pytest.raises(ValueError, match="'pressed', which is held out"):
+        calibrate(PAD, SPACE, second, validation=[first])
