@@ -69,7 +69,7 @@ from softcal_jax.mesh import (
     select_nodes as select_nodes,
 )
 from softcal_jax.project import load_project as load_project
-from softcal_jax.report import (
+from softcal_jax.results import (
     load_result as load_result,
     write_results as write_results,
 )

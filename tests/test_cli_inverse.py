@@ -15,7 +15,7 @@ from softcal_jax.cli import _calibrated, main
 from softcal_jax.control import sample_workspace
 from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import load_factor
-from softcal_jax.report import load_result
+from softcal_jax.results import load_result
 
 PUSH = """\
 [actuators.push]

@@ -9,7 +9,7 @@ from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.inference import Difference
-from softcal_jax.report import Transfer
+from softcal_jax.results import Transfer
 
 QUICK = (
     "[shared]\n",

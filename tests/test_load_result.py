@@ -18,7 +18,7 @@ from softcal_jax.exchange.icesl import _export, _settings
 from softcal_jax.fields import ParameterSpace, load_factor
 from softcal_jax.mesh import mesh_files
 from softcal_jax.project import load_project
-from softcal_jax.report import (
+from softcal_jax.results import (
     ResultError,
     ResultWarning,
     _write,

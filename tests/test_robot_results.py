@@ -28,12 +28,11 @@ from softcal_jax.equilibrium import (
     Reaction,
     RobotState,
 )
-from softcal_jax.export import result_dict, write_csv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project
-from softcal_jax.report import console as drawn, sections
-from softcal_jax.report._calibration import course_charts
+from softcal_jax.results import console as drawn, result_dict, sections, write_csv
+from softcal_jax.results._calibration import course_charts
 
 WEIGHT = (60e-3 * 20e-3 * 20e-3 * 1000.0 + 0.01) * 9.81
 

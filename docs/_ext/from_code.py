@@ -33,9 +33,9 @@ import softcal_jax
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.cli import main
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.export import KEYS, OTHER, POINT
 from softcal_jax.identifiability import Assessment, Identifiability
 from softcal_jax.project import ProjectError, load_project
+from softcal_jax.results import KEYS, OTHER, POINT
 from softcal_jax.robots import ready_made_path
 
 COARSE = ("cells = [14, 6, 6]", "cells = [6, 3, 3]")

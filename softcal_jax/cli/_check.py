@@ -37,7 +37,7 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
     project = cli.load(args.project, show, solve=False)
     doubts = show.warnings
     from softcal_jax.project import quantities_as_read
-    from softcal_jax.report import outline, roles_of, text
+    from softcal_jax.results import outline, roles_of, text
 
     above = f" (warnings above: {len(doubts)})" if doubts else ""
     show.line(f"Nothing was solved. This is what the project describes{above}:")
@@ -75,7 +75,7 @@ def _draw(project: "Project", picture: Path) -> None:
     import numpy as np
 
     from softcal_jax.plotting import MOST_PANELS, plot_plan
-    from softcal_jax.report import control_point_sets, roles_of
+    from softcal_jax.results import control_point_sets, roles_of
 
     posed = (*project.configurations, *project.candidates)
     left = len(posed) - MOST_PANELS
@@ -139,7 +139,7 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 def mesh(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
-    from softcal_jax.report import mesh_section, text
+    from softcal_jax.results import mesh_section, text
 
     cli.check_suffix(args.output, ".msh")
     picture = args.output.with_suffix(f".{args.pictures}")

@@ -119,7 +119,7 @@ def add_output(
 
 def check_folder(args: argparse.Namespace) -> None:
     """Check the output folder, if there is one, before a long run would fail there."""
-    from softcal_jax.export import check_results_folder
+    from softcal_jax.results import check_results_folder
 
     with bad_input():
         if args.output is not None:
@@ -166,7 +166,7 @@ def start_computing(show: Display) -> None:
 def load(path: Path, show: Display, *, solve: bool = True) -> "Project":
     """Load a project, and describe its model, with the solver if it is to `solve`."""
     from softcal_jax.project import load_project
-    from softcal_jax.report import model_words
+    from softcal_jax.results import model_words
 
     start_computing(show)
     show.now(f"reading {path.name}")
@@ -216,12 +216,11 @@ def write_results(
 ) -> None:
     """Write a result that is printed already, and say where; as JSON, print `index`.
 
-    `about` is what `report.write_results` takes besides. A command without a folder
+    `about` is what `results.write_results` takes besides. A command without a folder
     only prints the JSON. Where the folder cannot be written any more, as on a full
     disk, the results go to a temporary one, and the command ends with a message.
     """
-    from softcal_jax.export import result_dict
-    from softcal_jax.report import write_results
+    from softcal_jax.results import result_dict, write_results
 
     if args.output is None:
         show.document(result_dict(result, timing_s=show.laps, **about))
@@ -325,7 +324,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
 def so_far(result: "CalibrationResult", show: Display) -> None:
     """Print the values before their errors, and what may still change them."""
     from softcal_jax._units import readable, readable_estimate
-    from softcal_jax.report import held_out_sentences
+    from softcal_jax.results import held_out_sentences
 
     of = "one start"
     if result.starts is not None and result.starts.optima:

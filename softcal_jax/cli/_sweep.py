@@ -49,7 +49,7 @@ examples:
 def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     import jax
 
-    from softcal_jax.report import (
+    from softcal_jax.results import (
         check_sweep_page,
         console,
         sweep_sections,
@@ -150,7 +150,7 @@ def _row_line(row: Mapping[str, Any]) -> str:
 def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.plotting import PictureStyle
-    from softcal_jax.report import console, sweep_sections
+    from softcal_jax.results import console, sweep_sections
     from softcal_jax.sweeps import plot_sweep, read_sweep, write_sweep_csv
 
     cli.check_new(*filter(None, (args.csv, args.plot)), force=True)

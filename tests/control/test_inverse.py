@@ -24,8 +24,9 @@ from softcal_jax.control import (
     follow_trajectory,
     solve_inverse,
 )
-from softcal_jax.export import headline, off_words
-from softcal_jax.report._sections import goal_table
+from softcal_jax.results import headline
+from softcal_jax.results._headlines import off_words
+from softcal_jax.results._sections import goal_table
 
 FINE = ControlSettings(tol=1e-6)
 FEW = ControlSettings(other_starts=3)

@@ -30,7 +30,6 @@ from softcal_jax.designs import (
     published_foam,
 )
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
-from softcal_jax.export import headline
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
@@ -39,6 +38,7 @@ from softcal_jax.fields import (
 )
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
+from softcal_jax.results import headline
 
 LENGTH, SIDE = 0.1, 0.02
 MIDDLE = SIDE / 2

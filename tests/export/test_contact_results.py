@@ -12,13 +12,14 @@ from obstacle_results import FORCE, beside_obstacles, pressed
 from rich.console import Console
 
 from softcal_jax.calibration import SimulationResult
-from softcal_jax.export import (
+from softcal_jax.results import (
+    console as drawn,
     result_dict,
+    sections,
     write_csv,
     write_robot_vtu,
 )
-from softcal_jax.report import console as drawn, sections
-from softcal_jax.report._poses import robot_tables
+from softcal_jax.results._poses import robot_tables
 
 
 @pytest.fixture(scope="module")

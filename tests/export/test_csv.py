@@ -4,7 +4,7 @@ import dataclasses
 import pytest
 from export.handmade import make_fit, make_result, small_model, with_points
 
-from softcal_jax.export import write_csv, write_json
+from softcal_jax.results import write_csv, write_json
 
 
 def test_one_line_per_marker_and_configuration(tmp_path):

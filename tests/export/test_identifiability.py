@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from export.handmade import axis_space, make_ranking, make_result, replaced
 
-from softcal_jax.export import result_dict
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
+from softcal_jax.results import result_dict
 
 
 def half_blind():

@@ -28,7 +28,6 @@ from softcal_jax.exchange.proposal._recorded import (
     Stated,
     read_recorded,
 )
-from softcal_jax.export import results_folder
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import (
     MeshWarning,
@@ -38,7 +37,7 @@ from softcal_jax.mesh import (
     volumes,
 )
 from softcal_jax.project import ProjectWarning, load_project, toml_key, toml_value
-from softcal_jax.report import mesh_section, text
+from softcal_jax.results import mesh_section, results_folder, text
 from softcal_jax.robots import ready_made_path
 
 DENSITY = 1070.0

@@ -86,7 +86,7 @@ class Loaded:
 
 @pytest.mark.usefixtures("names")
 def test_what_is_installed_writes(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("softcal_jax.report.load_result", lambda *a, **k: Loaded)
+    monkeypatch.setattr("softcal_jax.results.load_result", lambda *a, **k: Loaded)
     file = tmp_path / "names.txt"
     argv = ["export", "names", "results", "-o", str(file)]
     assert main([*argv, "--upper"]) == 2

@@ -18,7 +18,7 @@ from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.cli import main
 from softcal_jax.exchange.sofa import NotConvergedError, export_sofa
 from softcal_jax.project import load_project
-from softcal_jax.report import _write, load_result, write_results
+from softcal_jax.results import _write, load_result, write_results
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from softcal_jax import plotting
 from softcal_jax._text import MOST_NAMED, listed
-from softcal_jax._tree import Chart, Section, Table, Value, verdict
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     ConfigurationResult,
@@ -19,7 +18,8 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
 from softcal_jax.equilibrium import ActuatorState, Model
-from softcal_jax.export import headline
+from softcal_jax.results._headlines import headline
+from softcal_jax.results._tree import Chart, Section, Table, Value, verdict
 
 MOST_LISTED = 6  # held-out configurations that are listed one by one
 

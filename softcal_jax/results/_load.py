@@ -20,15 +20,12 @@ from softcal_jax._text import SoftcalWarning, check_known, listed
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import is_number, readable
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import (
-    RESULT_FORMAT,
-    complete_results,
-    read_displacement,
-    solver_dict,
-)
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
+from softcal_jax.results._folder import complete_results
+from softcal_jax.results._json import RESULT_FORMAT, solver_dict
+from softcal_jax.results._vtu import read_displacement
 
 RESULT = "result.json"  # name of the file in a results folder
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._tree import MOST_REASONS, Chart, Section, Table, listed_texts
 from softcal_jax.plotting import PictureStyle
+from softcal_jax.results._tree import MOST_REASONS, Chart, Section, Table, listed_texts
 
 REPEATED = "repeated"  # folder that the command to repeat a run writes to
 _CHART, _SMALL = (PictureStyle(width, font_size=10.0) for width in (150.0, 100.0))
@@ -77,7 +77,7 @@ def _safe(text: str) -> str:
 
 def resource(name: str) -> str:
     """Read a file that pages are made of."""
-    return files("softcal_jax.report").joinpath(name).read_text("utf-8")
+    return files("softcal_jax.results").joinpath(name).read_text("utf-8")
 
 
 def template(file: str, /, **parts: str | Iterable[str]) -> Html:

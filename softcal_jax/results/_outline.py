@@ -9,7 +9,6 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._tree import Section, Table, Value
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
@@ -29,6 +28,7 @@ from softcal_jax.equilibrium import Model, omission_sentences, omissions
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
+from softcal_jax.results._tree import Section, Table, Value
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
 ROLES |= {"design": "design", "prediction": "predicted", "command": "commanded"}

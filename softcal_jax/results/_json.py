@@ -4,27 +4,198 @@
 and None, which stands for every number that is missing or not finite.
 """
 
+import dataclasses
+import json
+import math
+import os
+import platform
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from softcal_jax._module import Result
+from softcal_jax._files import ProjectSource, SourceFile
+from softcal_jax._module import Module, Result
+from softcal_jax._process import cpu_name, installed_version
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
+    HistoryEntry,
+    LeftOut,
+    MultiStartResult,
+    ResidualChecks,
     SimulationResult,
 )
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.contact import ContactState
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
-from softcal_jax.equilibrium import Model
-from softcal_jax.export._headlines import headline, missed_words
-from softcal_jax.export._made import Made, made_dict, pick, plain
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
-from softcal_jax.inference import ErrorBudget
-from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
+from softcal_jax.equilibrium import BodyPlace, Model, RobotState
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    Prediction,
+    Ranking,
+    assess,
+)
+from softcal_jax.inference import ErrorBudget, Uncertainty
+from softcal_jax.layouts import (
+    LEVEL_OF_COMPARISON,
+    FoldScore,
+    ModelComparison,
+    ModelScore,
+    PairedDifference,
+)
+from softcal_jax.results._headlines import headline, missed_words
+from softcal_jax.unknowns import CorrelatedNoise
+
+KEYS: dict[type, str] = {
+    CalibrationResult: "converged parameters intervals configurations history "
+    "uncertainty noise checks starts mistakes notes",
+    ConfigurationResult: "name role rms_before_mm rms_after_mm motion_mm "
+    "rms_after_percent_of_motion=rms_share markers=points effectors=others robot "
+    "newton_steps residual rounding at_rounding min_det_F",
+    HistoryEntry: "step cost lambda_p step_bound accepted kkt_residual newton_steps "
+    "values noise_level seconds rms_mm",
+    Uncertainty: "noise noise_scale degrees_of_freedom chi_squared covariance "
+    "correlation",
+    CorrelatedNoise: "jitter share offset_mm",
+    ResidualChecks: "reasons agreement lack_of_fit recordings level probability "
+    "left_out",
+    LeftOut: "name rms_mm expected_mm motion_mm probability by_scatter",
+    MultiStartResult: "names starts values cost steps converged optima second_best "
+    "missed",
+    Assessment: "outcome contradicted reasons misfit_probability predictions held",
+    Prediction: "name role std_mm",
+    Identifiability: "verdict n_data precision parameters informed directions "
+    "covariance correlation conditioning",
+    RobotState: "rigid_bodies=bodies actuators reactions contacts",
+    ContactState: "name force moment area depth sliding",
+    BodyPlace: "name state position_mm translation_mm rotation_vector",
+    ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
+    "fit_noise_rms fit_failure verdict folds",
+    FoldScore: "held_out rms_mm noise_rms fit_rms_mm failure",
+    PairedDifference: "name difference standard_error half_width n told_apart",
+}
+"""Keys of the classes that results are made of, by attributes; of others, all fields.
+
+One in _mm is converted from metres, one in percent from a share; `key=attribute` gives
+an attribute another name.
+"""
+
+POINT = "name measured_mm simulated_before_mm simulated_mm residual_mm"
+OTHER = "name unit is_turn measured simulated_before simulated residual"
+"""Keys of effectors: of points, and of what is no point."""
+
+
+def plain(value: Any) -> Any:
+    """Convert records to dictionaries, arrays to lists, non-finite numbers to None.
+
+    Keys of records are `KEYS`, or else all fields. NumPy numbers become Python's.
+    """
+    if isinstance(value, EffectorRecord):
+        return plain(pick(value, POINT if value.quantity == "point" else OTHER))
+    if dataclasses.is_dataclass(value):
+        every = " ".join(field.name for field in dataclasses.fields(value))
+        value = pick(value, KEYS.get(type(value), every))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        value = np.asarray(value).tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def pick(owner: object, names: str) -> dict[str, Any]:
+    """Return some attributes, by keys like those of `KEYS`."""
+    picked = {}
+    for name in names.split():
+        key, _, attribute = name.partition("=")
+        value = getattr(owner, attribute or key.removesuffix("_mm"))
+        if key.endswith("_mm") or "_percent_" in key:
+            value = (1e3 if key.endswith("_mm") else 1e2) * np.asarray(value)
+        picked[key] = value
+    return picked
+
+
+_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a dictionary, as from `result_dict`, as JSON that every parser reads.
+
+    Raises:
+        ValueError: If it holds a NaN or an infinity, which JSON lacks.
+    """
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+class Made(Module):
+    """What a result was computed from and with.
+
+    Attributes:
+        model: The model; the name of its solver contains that of a package.
+        settings: Settings by name, which may be nested.
+        source: The project file, and what it names; None for a model made in Python.
+    """
+
+    model: Model
+    settings: Mapping[str, Any]
+    source: ProjectSource | None = None
+
+
+def made_dict(
+    made: Made | Mapping[str, Made] | None, directory: str | Path = "."
+) -> dict[str, Any]:
+    """Convert what a result was computed from and with, if that is known.
+
+    Keys: `source` (`project`, relative to the folder of the results, `files`, relative
+    to that of the project, `changes`), `settings`, `versions` of Python, the numerical
+    packages and the machine; of several models by their names, and `sources`.
+    """
+    if isinstance(made, Mapping):
+        each = {model: made_dict(of, directory) for model, of in made.items()}
+        of_all = lambda key: {model: of[key] for model, of in each.items()}
+        every = {k: v for of in each.values() for k, v in of["versions"].items()}
+        both = {"sources": of_all("source"), "settings": of_all("settings")}
+        return {**both, "versions": every}
+    if made is None:
+        return {"source": None, "settings": {}, "versions": {}}
+    source = made.source and {
+        "project": file_dict(made.source.project, directory),
+        "files": [
+            file_dict(file, made.source.project.path.parent)
+            for file in made.source.files
+        ],
+        "changes": plain(made.source.changes),
+    }
+    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", made.model.solver.name)]
+    versions = {
+        "python": platform.python_version(),
+        "softcal_jax": installed_version("softcal-jax"),
+        **{name: installed_version(name) for name in packages},
+        "platform": platform.platform(),
+        "cpu": cpu_name(),
+        "device": jax.devices()[0].device_kind,
+    }
+    settings = plain(made.settings)
+    return {"source": source, "settings": settings, "versions": versions}
+
+
+def file_dict(file: SourceFile, directory: str | Path = ".") -> dict[str, str]:
+    """Convert a file to a dictionary: `file`, relative to a folder, and `sha256`."""
+    try:
+        relative = os.path.relpath(file.path, Path(directory).resolve())
+    except ValueError:  # on another drive of Windows
+        return {"file": file.path.as_posix(), "sha256": file.sha256}
+    return {"file": Path(relative).as_posix(), "sha256": file.sha256}
+
 
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""

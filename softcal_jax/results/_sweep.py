@@ -10,10 +10,18 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._places import replacing
-from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import is_number, readable_values
-from softcal_jax.export import file_dict, made_dict
-from softcal_jax.report._html import REPEATED, closing, node, page
+from softcal_jax.results._html import REPEATED, closing, node, page
+from softcal_jax.results._json import Made, file_dict, made_dict
+from softcal_jax.results._tree import (
+    Chart,
+    Column,
+    Section,
+    Table,
+    Tone,
+    Value,
+    verdict,
+)
 from softcal_jax.sweeps import Sweep, SweepResult, figure_name, plot_sweep
 
 KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
@@ -302,8 +310,15 @@ def write_sweep(
     """
     check_sweep_page(folder)
     path, folder = sweep_page_of(folder), Path(folder)
-    made = made_dict(None if sweep is None else sweep.made, folder.parent)
-    data = {**made, "timing_s": timing_s or {}, "files": [folder.name]}
+    made = None
+    if sweep is not None:
+        project = sweep.project
+        made = Made(project.model, sweep.settings, project.source)
+    data = {
+        **made_dict(made, folder.parent),
+        "timing_s": timing_s or {},
+        "files": [folder.name],
+    }
     files = [] if sweep is None else [file_dict(sweep.file, folder.parent)]
     figures = result.robot_figures
     repeated = any(len(part.rows) > 1 for _, part in result.groups())

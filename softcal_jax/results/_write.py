@@ -11,11 +11,9 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from softcal_jax import export
 from softcal_jax._module import Result
 from softcal_jax._places import with_remedy
 from softcal_jax._text import SoftcalWarning
-from softcal_jax._tree import Section
 from softcal_jax.calibration import (
     CalibrationResult,
     SimulationResult,
@@ -35,7 +33,8 @@ from softcal_jax.plotting import (
     rendering_problem,
 )
 from softcal_jax.project import Project, printed_project
-from softcal_jax.report._html import (
+from softcal_jax.results._folder import file_stems, results_folder
+from softcal_jax.results._html import (
     Html,
     closing,
     figure,
@@ -47,9 +46,19 @@ from softcal_jax.report._html import (
     resource,
     section_html,
 )
-from softcal_jax.report._outline import ROLES
-from softcal_jax.report._sections import sections
-from softcal_jax.report._view import PageView, body_view
+from softcal_jax.results._json import (
+    Made,
+    bodies_of,
+    file_dict,
+    result_dict,
+    write_json,
+)
+from softcal_jax.results._outline import ROLES
+from softcal_jax.results._sections import sections
+from softcal_jax.results._text import write_csv
+from softcal_jax.results._tree import Section
+from softcal_jax.results._view import PageView, body_view
+from softcal_jax.results._vtu import write_pvd, write_robot_vtu, write_vtu
 
 REPORT = "report.html"  # name of the page in a results folder
 MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
@@ -74,7 +83,7 @@ def write_results(
     assessment: Assessment | None = None,
     ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
-    made: export.Made | Mapping[str, export.Made] | None = None,
+    made: Made | Mapping[str, Made] | None = None,
     traces: Mapping[str, Traces] | None = None,
     project: Project | None = None,
     calibration: str | Path | None = None,
@@ -130,10 +139,10 @@ def write_results(
     texts, shown = {}, bodies_of(result)
     if isinstance(result, DesignResult):
         source = project and project.source
-        made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
+        made = Made(result.fit.model, {"loop": result.fit.settings}, source)
         printed = project and printed_project(project, result, Path(directory))
         texts = {"project.toml": printed} if printed else {}
-    data = export.result_dict(
+    data = result_dict(
         result,
         name=name,
         assessment=assessment,
@@ -146,7 +155,7 @@ def write_results(
     index = re.split("[./]", data["format"])[1]  # softcal_jax.result/2
     if command in ("simulate", "inverse"):
         values = calibration and SourceFile.of(Path(calibration))
-        data["calibration"] = values and export.file_dict(values, directory)
+        data["calibration"] = values and file_dict(values, directory)
     if shown is None:
         words = (str(part) for part in (name, result, ranking) if part)
         texts[f"{index}.txt"] = "\n\n".join(words) + "\n"
@@ -163,7 +172,7 @@ def write_results(
         for file, content in texts.items():
             (folder / file).write_text(content, encoding="utf-8")
         if shown is not None:
-            names += export.write_csv(folder, shown.configurations)
+            names += write_csv(folder, shown.configurations)
         data["files"] = [*names, *bodies]
         pictures = [] if shown is None else pictures_of(data, folder, view)
         every = [
@@ -185,9 +194,9 @@ def write_results(
             script=view.script if view else "",
         )
         (folder / REPORT).write_text(whole, encoding="utf-8")
-        export.write_json(folder / f"{index}.json", data)
+        write_json(folder / f"{index}.json", data)
 
-    with export.results_folder(directory, force=force) as folder:
+    with results_folder(directory, force=force) as folder:
         write(folder)
     if shown is None:
         return Path(directory)
@@ -196,7 +205,7 @@ def write_results(
     remedy = with_remedy(kept, "free disk space, and run this again")
     draw = partial(_write_bodies, suffix=pictures, progress=progress, traces=traces)
     try:
-        with export.results_folder(directory, force=True) as folder, remedy:
+        with results_folder(directory, force=True) as folder, remedy:
             write(folder, *draw(folder, shown, data))
     except KeyboardInterrupt as error:
         raise KeyboardInterrupt(f"{kept}.") from error
@@ -243,7 +252,7 @@ _Bodies = CalibrationResult | SimulationResult
 _KINDS: dict[type, tuple[str, str, Callable[[Any], _Bodies | None]]] = {
     CalibrationResult: ("Calibration", "calibrate", lambda result: result),
     SimulationResult: ("Simulation", "simulate", lambda result: result),
-    DesignResult: ("Design", "design", export.bodies_of),
+    DesignResult: ("Design", "design", bodies_of),
     InverseResult: ("Inverse control", "inverse", _commanded),
     TrajectoryResult: ("Inverse control", "inverse", _commanded),
     Identifiability: ("Identifiability", "identify", lambda _: None),
@@ -305,7 +314,7 @@ def _write_bodies(
     The configurations of `data` get theirs; its notes say which pictures are left out.
     """
     model, shown = result.model, result.configurations
-    stems = export.file_stems([pose.name for pose in shown])
+    stems = file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
     problem = rendering_problem() if suffix and moved else None
     if problem is not None:
@@ -325,11 +334,11 @@ def _write_bodies(
             written.append(f"{stem}.vtu")
             path = folder / written[-1]
             more = {"standard_errors": errors, "state": pose.robot}
-            export.write_vtu(path, model, pose.displacement, **more)
+            write_vtu(path, model, pose.displacement, **more)
             parts = model.mechanism.bodies.n_bodies + model.mechanism.n_actuators
             if pose.robot is not None and parts > 0:
                 written.append(f"{stem}_robot.vtu")
-                export.write_robot_vtu(folder / written[-1], model, pose.robot)
+                write_robot_vtu(folder / written[-1], model, pose.robot)
             bodies.append(list(written))
         if traces and pose.name in traces and suffix:
             written.append(f"{stem}_recording.{suffix}")
@@ -339,7 +348,7 @@ def _write_bodies(
             draw = partial(render_configuration, model, pose, converged=trusted)
             plots[written[-1]] = draw
     if bodies:
-        export.write_pvd(folder / COLLECTION, bodies)
+        write_pvd(folder / COLLECTION, bodies)
         files.append(COLLECTION)
     progress(0, len(plots))
     for done, (file, plot) in enumerate(plots.items(), start=1):

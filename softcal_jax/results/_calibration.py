@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 
 from softcal_jax import plotting
-from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import number, readable
 from softcal_jax.calibration import (
     FLAT,
@@ -15,7 +14,6 @@ from softcal_jax.calibration import (
     MultiStartResult,
     ParameterEstimate,
 )
-from softcal_jax.export import headline
 from softcal_jax.identifiability import (
     LOST,
     Assessment,
@@ -24,7 +22,8 @@ from softcal_jax.identifiability import (
     assess,
 )
 from softcal_jax.inference import BLIND_FROM, ErrorBudget
-from softcal_jax.report._poses import (
+from softcal_jax.results._headlines import headline
+from softcal_jax.results._poses import (
     chart_of,
     error_charts,
     error_tables,
@@ -32,6 +31,15 @@ from softcal_jax.report._poses import (
     listed_fits,
     model_words,
     robot_tables,
+)
+from softcal_jax.results._tree import (
+    Chart,
+    Column,
+    Section,
+    Table,
+    Tone,
+    Value,
+    verdict,
 )
 
 _SCOPE = (

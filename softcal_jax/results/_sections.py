@@ -11,7 +11,6 @@ import numpy as np
 
 from softcal_jax._module import Result
 from softcal_jax._text import listed
-from softcal_jax._tree import Column, Section, Table, Tone, Value, verdict
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.calibration import (
@@ -23,26 +22,28 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.designs import LEVEL, DesignResult
-from softcal_jax.export import headline, missed_words, off_words, plain
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.materials import youngs_moduli
 from softcal_jax.project import Project
-from softcal_jax.report._calibration import (
+from softcal_jax.results._calibration import (
     assessment_sections,
     calibration_sections,
     outlook_sections,
     search_sections,
 )
-from softcal_jax.report._poses import (
+from softcal_jax.results._headlines import headline, missed_words, off_words
+from softcal_jax.results._json import plain
+from softcal_jax.results._poses import (
     MOVED,
     actuator_cells,
     effector_name,
     simulation_sections,
 )
-from softcal_jax.report._sweep import sweep_sections
+from softcal_jax.results._sweep import sweep_sections
+from softcal_jax.results._tree import Column, Section, Table, Tone, Value, verdict
 from softcal_jax.sweeps import SweepResult
 
 
