@@ -18,7 +18,7 @@ from wording import says
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _shared, main
 from softcal_jax.mistakes import Mistake
-from softcal_jax.results import RESULT_FORMAT, results_folder
+from softcal_jax.results import results_folder
 from softcal_jax.robots import ready_made_path
 
 
@@ -259,7 +259,7 @@ def test_simulate(tmp_path, out, capsys):
 def write_values(folder, **values):
     """What of a `result.json` a prediction reads."""
     content = {
-        "format": RESULT_FORMAT,
+        "format": "softcal_jax.result/2",
         "converged": True,
         "source": None,
         "parameters": [{"name": k, "value": v} for k, v in values.items()],

@@ -85,12 +85,11 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         result,
         args,
         show,
-        index="inverse.json",
         name=project.name,
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
         options=options,
-        notes=(*cli.with_care(loaded.outcome, loaded.doubts), *show.warnings),
+        notes=(*cli.with_care(loaded.content), *show.warnings),
     )
     if not result.met:
         interrupted = result.outcome == OUTCOMES.interrupted
@@ -210,7 +209,7 @@ def _export(
         else:
             source = load_result(args.results, project=args.project)
             project = source.project
-            care = cli.with_care(source.outcome, source.doubts)
+            care = cli.with_care(source.content)
     show.lap("reading")
     said: list[str] = []
     watch = cli.watch_lines(show, cli.step_lines(project, show))

@@ -72,7 +72,7 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     tree = results.sections(result, assessment)
     show.line(results.console(tree, short=not args.verbose))
     about = {"name": project.name, "traces": project.traces, "assessment": assessment}
-    cli.write_results(result, args, show, index="result.json", **about)
+    cli.write_results(result, args, show, **about)
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged"
@@ -125,7 +125,6 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
         result,
         args,
         show,
-        index="simulation.json",
         name=project.name,
         traces=project.traces,
         made=_made(project),
@@ -155,7 +154,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
     show.line()
     show.line(results.console(results.sections(result)))
     about = {"name": project.name, "project": project}
-    cli.write_results(result, args, show, index="design.json", **about)
+    cli.write_results(result, args, show, **about)
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
         printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
@@ -201,7 +200,7 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
     result: Any = outlook or ranking
     made = _made(project, precision=project.precision)
     about = {"name": project.name, "made": made, "ranking": ranking}
-    cli.write_results(result, args, show, index="identifiability.json", **about)
+    cli.write_results(result, args, show, **about)
 
 
 def _made(project: "Project", **settings: Any) -> "Made":
@@ -343,7 +342,7 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     made = {name: _made(project) for name, project in named}
     show.line()
     show.line(str(comparison))
-    cli.write_results(comparison, args, show, index="comparison.json", made=made)
+    cli.write_results(comparison, args, show, made=made)
     if comparison.best is None:
         raise cli.Stop(cli.NOT_CONVERGED, "no model predicts every configuration.")
 
@@ -395,7 +394,8 @@ def transfer(args: argparse.Namespace, show: cli.Display) -> None:
         transferred = results.transfer(of_a, project, result)
     show.line()
     show.line(str(transferred))
-    show.document(transferred.as_dict())
+    verdict = results.headline(transferred)
+    show.document({**results.plain(transferred), "verdict": verdict})
 
 
 def add_transfer(commands: "argparse._SubParsersAction") -> None:

@@ -206,6 +206,16 @@ class EffectorRecord(Module):
         """Simulated minus measured values; NaN where not measured."""
         return self.error(self.simulated)
 
+    @property
+    def in_std(self) -> Float[HostArray, " k"]:
+        """The residual in units of the standard deviation; NaN where not measured."""
+        return self.residual / self.std
+
+    @property
+    def worst(self) -> float:
+        """The largest of these where measured; NaN without an equilibrium [-]."""
+        return float(np.max(np.abs(self.in_std[self.seen]), initial=0.0))
+
     def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
         """Subtract the measured from the given values; NaN where not measured."""
         return np.where(self.seen, values - self.measured, np.nan)

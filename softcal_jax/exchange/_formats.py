@@ -217,9 +217,9 @@ def _lines_of_both(
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
     # How far points move, then errors of three models: the calibrated one, that of the
     # program with the same values, and that of the program calibrated itself.
-    rows = []
+    rows, fitted = [], calibrated.column("rms_after_mm")
     for c in refitted.configurations:
-        errors = calibrated.errors[c.name], c.rms_before, c.rms_after
+        errors = fitted[c.name], c.rms_before, c.rms_after
         rows.append((c.name, c.role, c.motion, *errors))
     heads = "configuration | role | motion [m] | calibrated model [m]"
     heads += f" | {program}, same values [m] | {program}, own values [m]"

@@ -6,13 +6,9 @@ from softcal_jax.results._folder import (
     file_stems as file_stems,
     results_folder as results_folder,
 )
-from softcal_jax.results._headlines import headline as headline
 from softcal_jax.results._json import (
+    FORMATS as FORMATS,
     KEYS as KEYS,
-    OTHER as OTHER,
-    POINT as POINT,
-    RESULT_FORMAT as RESULT_FORMAT,
-    Made as Made,
     plain as plain,
     result_dict as result_dict,
     write_json as write_json,
@@ -25,6 +21,7 @@ from softcal_jax.results._load import (
     load_values as load_values,
     result_path as result_path,
 )
+from softcal_jax.results._made import Made as Made
 from softcal_jax.results._outline import (
     control_point_sets as control_point_sets,
     mesh_section as mesh_section,
@@ -37,13 +34,9 @@ from softcal_jax.results._poses import (
 )
 from softcal_jax.results._sections import (
     Transfer as Transfer,
+    headline as headline,
     sections as sections,
     transfer as transfer,
-)
-from softcal_jax.results._sweep import (
-    check_sweep_page as check_sweep_page,
-    sweep_sections as sweep_sections,
-    write_sweep as write_sweep,
 )
 from softcal_jax.results._text import (
     console as console,
@@ -65,6 +58,8 @@ from softcal_jax.results._vtu import (
 )
 from softcal_jax.results._write import (
     PictureWarning as PictureWarning,
+    check_sweep_page as check_sweep_page,
     notebook_html as notebook_html,
     write_results as write_results,
+    write_sweep as write_sweep,
 )

@@ -1,6 +1,7 @@
 """What a calibration says, and what its data tell: values, verdict, what to do next."""
 
 import math
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -22,7 +23,6 @@ from softcal_jax.identifiability import (
     assess,
 )
 from softcal_jax.inference import BLIND_FROM, ErrorBudget
-from softcal_jax.results._headlines import headline
 from softcal_jax.results._poses import (
     chart_of,
     error_charts,
@@ -54,6 +54,13 @@ MOST_BARS = 24  # rows of a chart
 MOST_DIRECTIONS = 8  # blind directions that are listed; the others are only counted
 MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
 MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
+_OUTCOMES: dict[str, str] = {
+    "trust": "Trust these values: the fit converged, and every check passed.",
+    "take with care": "Take these values with care:",
+    "do not use": "Do not use these values:",
+}
+"""What may be done with the values; it ends with a colon where reasons follow."""
+
 TONES: dict[str, Tone] = {
     "trust": "good",
     "take with care": "doubtful",
@@ -154,7 +161,8 @@ def value_cell(parameter: ParameterEstimate, tone: Tone = "plain") -> Value:
 
 def verdict_of(assessment: Assessment) -> Section:
     """Say in one sentence whether the values of a calibration can be used."""
-    return verdict(headline(assessment), TONES[assessment.outcome], assessment.reasons)
+    outcome = assessment.outcome
+    return verdict(_OUTCOMES[outcome], TONES[outcome], assessment.reasons)
 
 
 def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
@@ -232,12 +240,11 @@ def interval_table(result: CalibrationResult) -> Table:
     return Table.of("Intervals", f"parameter | {level} | kind", rows)
 
 
-def search_sections(result: MultiStartResult) -> tuple[Section, ...]:
-    optima = optima_table(result)._replace(note="")
-    return (
-        verdict(headline(result), "plain"),
-        Section("optima", "Optima", (), (optima,)),
-    )
+def search_sections(result: MultiStartResult) -> Iterator[Section]:
+    """Write how the runs of a search ended, and the distinct optima."""
+    optima = optima_table(result)
+    yield verdict(optima.note, "plain")
+    yield Section("optima", "Optima", (), (optima._replace(note=""),))
 
 
 def optima_table(starts: MultiStartResult | None) -> Table:
@@ -245,7 +252,26 @@ def optima_table(starts: MultiStartResult | None) -> Table:
     optima = () if starts is None else starts.optima[:MOST_OPTIMA]
     rows = [(one.cost, len(one.starts), one.words) for one in optima]
     heads = "cost [ratio] | starts that end there | values"
-    return Table.of("Optima", heads, rows, note=headline(starts) if starts else "")
+    return Table.of("Optima", heads, rows, note=_search_words(starts))
+
+
+def _search_words(starts: MultiStartResult | None) -> str:
+    """Say how the runs of a search ended."""
+    if starts is None:
+        return ""
+    n, lost = len(starts.cost), np.isinf(starts.cost)
+    unfinished = ~starts.converged & ~lost
+    text = f"{n} starts, {starts.converged.sum()} converged, {len(starts.optima)} "
+    text += "distinct optima."
+    if starts.missed < 1.0:
+        share = f"{100.0 * starts.missed:.0f} %"
+        text += f" Of further starts, {share} are expected to end at others."
+    if unfinished.any():
+        lowest = starts.cost[unfinished].min()
+        text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
+    if lost.any():
+        text += f" {lost.sum()} without equilibrium at the start."
+    return text
 
 
 def history_table(result: CalibrationResult) -> Table:
@@ -287,46 +313,57 @@ def course_charts(result: CalibrationResult) -> tuple[Chart, ...]:
     )
 
 
-def assessment_sections(assessment: Assessment) -> tuple[Section, ...]:
-    _, *known = outlook_sections(assessment.identifiability)
+def assessment_sections(assessment: Assessment) -> Iterator[Section]:
+    """Write whether values can be used, and what the data tell of each."""
+    yield verdict_of(assessment)
+    outlook, *known = outlook_sections(assessment.identifiability)
     provided = ("If the model is right:",) * assessment.contradicted
+    yield Section("outlook", "What the data determine", (*provided, *outlook.text))
+    yield from known
     said = assessment.held_fixed, assessment.prediction
-    outlook = headline(assessment.identifiability)
-    return (
-        verdict_of(assessment),
-        Section("outlook", "What the data determine", (*provided, outlook)),
-        *known,
-        Section("prediction", "Prediction", tuple(filter(None, said))),
-    )
+    yield Section("prediction", "Prediction", tuple(filter(None, said)))
 
 
 def outlook_sections(
     outlook: Identifiability | None, ranking: Ranking | None = None
-) -> tuple[Section, ...]:
+) -> Iterator[Section]:
     """Write what data tell, or would tell, and which candidates tell more."""
-    tree = []
+    advice = ()
     if outlook is not None:
+        advice, n_data, n_p = outlook.advice, outlook.n_data, outlook.n_parameters
+        said = f"{outlook.verdict.capitalize()} at these values: {n_data} measured "
+        said += f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}"
+        yield verdict(f"{said}.", TONES[outlook.verdict])
         tables = [_outlook_table(outlook)]
         if outlook.budget is not None and outlook.n_data:
             tables.append(budget_table(outlook.budget))
-        unseen = _blindness(outlook)
-        tree = [
-            verdict(headline(outlook), TONES[outlook.verdict]),
-            Section("parameters", "Parameters", (), tuple(tables)),
-            Section("directions", "Combinations of the parameters", unseen),
-        ]
-    advice = outlook.advice if outlook else ()
+        yield Section("parameters", "Parameters", (), tuple(tables))
+        blindness = _blindness(outlook)
+        yield Section("directions", "Combinations of the parameters", blindness)
     if ranking is not None:
+        said = _best_candidate(ranking)
+        if outlook is None:
+            yield verdict(said, "plain")
         rows = [(gain.name, gain.effect) for gain in ranking.gains]
         tables = (Table.of("Candidates", "candidate | what falls most", rows),)
-        said = (headline(ranking),) if outlook else ()
-        tree += [] if outlook else [verdict(headline(ranking), "plain")]
-        tree.append(Section("candidates", "What candidates would add", said, tables))
+        said = (said,) if outlook else ()
+        yield Section("candidates", "What candidates would add", said, tables)
         left = ranking.unranked.items()
         advice = [f"Not ranked: {name!r}: {reason}." for name, reason in left]
         advice.append(ranking.reached)
-    tree.append(Section("next", "What to measure next", advice))
-    return *tree, *([] if outlook is None else [_inner(outlook)])
+    yield Section("next", "What to measure next", advice)
+    if outlook is not None:
+        yield _inner(outlook)
+
+
+def _best_candidate(ranking: Ranking) -> str:
+    """Say which candidate tells most, if one tells anything."""
+    if not ranking.gains:
+        return "No candidate can be ranked."
+    if not ranking.helps:
+        return "No candidate lowers the errors: know what is held fixed better."
+    best = ranking.gains[0]
+    return f"Candidate {best.name!r} tells most: {best.effect}."
 
 
 def _outlook_table(outlook: Identifiability) -> Table:

@@ -7,20 +7,17 @@ and None, which stands for every number that is missing or not finite.
 import dataclasses
 import json
 import math
-import os
-import platform
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from softcal_jax._files import ProjectSource, SourceFile
-from softcal_jax._module import Module, Result
-from softcal_jax._process import cpu_name, installed_version
+from softcal_jax._module import Result
+from softcal_jax._units import QUANTITIES
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -32,7 +29,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.contact import ContactState
-from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
+from softcal_jax.control import OUTCOMES, InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.equilibrium import BodyPlace, Model, RobotState
 from softcal_jax.identifiability import (
@@ -50,10 +47,14 @@ from softcal_jax.layouts import (
     ModelScore,
     PairedDifference,
 )
-from softcal_jax.results._headlines import headline, missed_words
+from softcal_jax.results._goals import missed_words
+from softcal_jax.results._made import Made, made_dict
+from softcal_jax.results._sections import Transfer, headline
 from softcal_jax.unknowns import CorrelatedNoise
 
-KEYS: dict[type, str] = {
+KEYS: dict[type | str, str] = {
+    "markers": "name measured_mm simulated_before_mm simulated_mm residual_mm",
+    "effectors": "name unit is_turn measured simulated_before simulated residual",
     CalibrationResult: "converged parameters intervals configurations history "
     "uncertainty noise checks starts mistakes notes",
     ConfigurationResult: "name role rms_before_mm rms_after_mm motion_mm "
@@ -79,17 +80,17 @@ KEYS: dict[type, str] = {
     ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
     "fit_noise_rms fit_failure verdict folds",
     FoldScore: "held_out rms_mm noise_rms fit_rms_mm failure",
+    Transfer: "difference poses motion rms_own rms_of_a lost "
+    "probability=difference.probability agree=difference.agree",
     PairedDifference: "name difference standard_error half_width n told_apart",
 }
 """Keys of the classes that results are made of, by attributes; of others, all fields.
 
+Effectors have those of `markers` where they are points, else those of `effectors`.
+
 One in _mm is converted from metres, one in percent from a share; `key=attribute` gives
 an attribute another name.
 """
-
-POINT = "name measured_mm simulated_before_mm simulated_mm residual_mm"
-OTHER = "name unit is_turn measured simulated_before simulated residual"
-"""Keys of effectors: of points, and of what is no point."""
 
 
 def plain(value: Any) -> Any:
@@ -98,7 +99,8 @@ def plain(value: Any) -> Any:
     Keys of records are `KEYS`, or else all fields. NumPy numbers become Python's.
     """
     if isinstance(value, EffectorRecord):
-        return plain(pick(value, POINT if value.quantity == "point" else OTHER))
+        kind = "markers" if value.quantity == "point" else "effectors"
+        return plain(pick(value, KEYS[kind]))
     if dataclasses.is_dataclass(value):
         every = " ".join(field.name for field in dataclasses.fields(value))
         value = pick(value, KEYS.get(type(value), every))
@@ -116,14 +118,27 @@ def pick(owner: object, names: str) -> dict[str, Any]:
     picked = {}
     for name in names.split():
         key, _, attribute = name.partition("=")
-        value = getattr(owner, attribute or key.removesuffix("_mm"))
-        if key.endswith("_mm") or "_percent_" in key:
-            value = (1e3 if key.endswith("_mm") else 1e2) * np.asarray(value)
-        picked[key] = value
+        value = attrgetter(attribute or key.removesuffix("_mm"))(owner)
+        factor = _factor(key)
+        picked[key] = value if factor == 1.0 else factor * np.asarray(value)
     return picked
 
 
-_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
+def _factor(key: str) -> float:
+    """Return the factor from SI to the unit that the end of a key names."""
+    ends = {"_mm": "distance", "_percent_of_motion": "share"}
+    quantities = (QUANTITIES[of] for end, of in ends.items() if key.endswith(end))
+    return next((factor for _, factor, _ in quantities), 1.0)
+
+
+def read_column(entries: Sequence[Mapping[str, Any]], key: str) -> dict[str, Any]:
+    """Return what entries of a file have under a key, by their names, in SI.
+
+    A number that `plain` left out is nan.
+    """
+    factor = _factor(key)
+    read = lambda value: math.nan if value is None else value / factor
+    return {e["name"]: e[key] if factor == 1.0 else read(e[key]) for e in entries}
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -136,68 +151,19 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-class Made(Module):
-    """What a result was computed from and with.
+FORMATS: dict[type, str] = {
+    CalibrationResult: "result/2",
+    SimulationResult: "simulation/1",
+    DesignResult: "design/1",
+    InverseResult: "inverse/1",
+    TrajectoryResult: "inverse/1",
+    Identifiability: "identifiability/3",
+    Ranking: "identifiability/3",
+    ModelComparison: "comparison/1",
+}
+"""Formats of the files of results: the name of the file, and a version."""
 
-    Attributes:
-        model: The model; the name of its solver contains that of a package.
-        settings: Settings by name, which may be nested.
-        source: The project file, and what it names; None for a model made in Python.
-    """
-
-    model: Model
-    settings: Mapping[str, Any]
-    source: ProjectSource | None = None
-
-
-def made_dict(
-    made: Made | Mapping[str, Made] | None, directory: str | Path = "."
-) -> dict[str, Any]:
-    """Convert what a result was computed from and with, if that is known.
-
-    Keys: `source` (`project`, relative to the folder of the results, `files`, relative
-    to that of the project, `changes`), `settings`, `versions` of Python, the numerical
-    packages and the machine; of several models by their names, and `sources`.
-    """
-    if isinstance(made, Mapping):
-        each = {model: made_dict(of, directory) for model, of in made.items()}
-        of_all = lambda key: {model: of[key] for model, of in each.items()}
-        every = {k: v for of in each.values() for k, v in of["versions"].items()}
-        both = {"sources": of_all("source"), "settings": of_all("settings")}
-        return {**both, "versions": every}
-    if made is None:
-        return {"source": None, "settings": {}, "versions": {}}
-    source = made.source and {
-        "project": file_dict(made.source.project, directory),
-        "files": [
-            file_dict(file, made.source.project.path.parent)
-            for file in made.source.files
-        ],
-        "changes": plain(made.source.changes),
-    }
-    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", made.model.solver.name)]
-    versions = {
-        "python": platform.python_version(),
-        "softcal_jax": installed_version("softcal-jax"),
-        **{name: installed_version(name) for name in packages},
-        "platform": platform.platform(),
-        "cpu": cpu_name(),
-        "device": jax.devices()[0].device_kind,
-    }
-    settings = plain(made.settings)
-    return {"source": source, "settings": settings, "versions": versions}
-
-
-def file_dict(file: SourceFile, directory: str | Path = ".") -> dict[str, str]:
-    """Convert a file to a dictionary: `file`, relative to a folder, and `sha256`."""
-    try:
-        relative = os.path.relpath(file.path, Path(directory).resolve())
-    except ValueError:  # on another drive of Windows
-        return {"file": file.path.as_posix(), "sha256": file.sha256}
-    return {"file": Path(relative).as_posix(), "sha256": file.sha256}
-
-
-RESULT_FORMAT = "softcal_jax.result/2"
+RESULT_FORMAT = f"softcal_jax.{FORMATS[CalibrationResult]}"
 """Format of `result.json`."""
 
 
@@ -231,10 +197,10 @@ def result_dict(
     Raises:
         TypeError: If it is no result that is written to a folder.
     """
-    times = {**(timing_s or {})}
+    times, kind = {**(timing_s or {})}, FORMATS.get(type(result), "")
     match result:
         case CalibrationResult():
-            kind, assessment = "result/2", assessment or assess(result)
+            assessment = assessment or assess(result)
             with np.errstate(invalid="ignore", divide="ignore"):
                 content = plain(result)  # an exact fit has no spread
             content |= {
@@ -248,18 +214,16 @@ def result_dict(
             made = Made(result.model, settings, result.source)
             times = result.timing_s | times
         case SimulationResult():
-            kind, content = "simulation/1", _simulation(result)
-            made = made or Made(result.model, {})
+            content, made = _simulation(result), made or Made(result.model, {})
         case DesignResult():
-            kind = "design/1"
             content = {**_simulation(bodies_of(result)), "design": _design(result)}
         case InverseResult() | TrajectoryResult():
             points = [result] if isinstance(result, InverseResult) else result.points
             met = all(point.met for point in points)
-            kind, content = "inverse/1", {"met": met, "points": [*map(_point, points)]}
+            content = {"met": met, "points": [*map(_point, points)]}
             made = made or Made(points[0].model, {})
         case ModelComparison():
-            kind, made = "comparison/1", made or {}
+            made = made or {}
             content = {
                 "verdict": headline(result),
                 **pick(result, "undecided models differences"),
@@ -267,7 +231,7 @@ def result_dict(
                 "level": LEVEL_OF_COMPARISON,
             }
         case Identifiability() | Ranking():
-            kind, content = "identifiability/3", _outlook(result, ranking)
+            content = _outlook(result, ranking)
         case _:
             raise TypeError(f"a {type(result).__name__} is no result that is written.")
     return plain(
@@ -377,7 +341,14 @@ def _point(result: InverseResult) -> dict[str, Any]:
         **pick(result, "met tol"),
         "message": headline(result),
         "outcome": OUTCOMES[result.outcome],
-        "goals": [_goal(fit, result.tol) for fit in result.goals],
+        "goals": [
+            {
+                **pick(goal, "name unit is_turn"),
+                "met": goal.worst <= result.tol,
+                **pick(goal, "goal=measured reached=simulated residual std in_std"),
+            }
+            for goal in result.goals
+        ],
         "actuators": [
             {"commanded": a.name in result.configuration.actuation, **plain(a)}
             for a in result.actuators
@@ -394,22 +365,8 @@ def _point(result: InverseResult) -> dict[str, Any]:
     }
 
 
-def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
-    effector = fit.effector
-    asked = lambda values: np.where(effector.seen, values, np.nan)
-    return {
-        **pick(effector, "name unit is_turn"),
-        "met": bool(np.max(np.abs(fit.in_std), initial=0.0) <= tol),
-        "goal": asked(effector.measured),
-        "reached": fit.reached,
-        "residual": asked(fit.residual),
-        "std": effector.std,
-        "in_std": asked(fit.in_std),
-    }
-
-
 def _design(result: DesignResult) -> dict[str, Any]:
-    goal = "configuration name met error expected interval hangs_on share"
+    goal = "configuration name=effector.name met error expected interval hangs_on share"
     return {
         **pick(result, "met values robust error expected"),
         "verdict": headline(result),

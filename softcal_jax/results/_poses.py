@@ -1,7 +1,7 @@
 """What is said of poses: the state of the robot, errors, and what is predicted."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -18,15 +18,20 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
 from softcal_jax.equilibrium import ActuatorState, Model
-from softcal_jax.results._headlines import headline
 from softcal_jax.results._tree import Chart, Section, Table, Value, verdict
 
 MOST_LISTED = 6  # held-out configurations that are listed one by one
 
 
-def simulation_sections(result: SimulationResult) -> tuple[Section, ...]:
+def simulation_sections(result: SimulationResult) -> Iterator[Section]:
     """Write the outcome in every configuration, and the state of the robot."""
     poses, tone = result.configurations, "doubtful" if result.doubts else "good"
+    n, n_converged = len(poses), sum(pose.converged for pose in poses)
+    text = f"{n_converged} of {n} configurations have an equilibrium."
+    if n_converged == n:
+        every = "The configuration has" if n == 1 else f"All {n} configurations have"
+        text = f"{every} an equilibrium."
+    yield verdict(text, tone if result.converged else "bad", result.doubts)
     rows = [
         (
             c.name,
@@ -38,13 +43,9 @@ def simulation_sections(result: SimulationResult) -> tuple[Section, ...]:
     ]
     heads = "configuration | largest displacement [distance] | Newton steps | outcome"
     outcomes = Table.of("Simulation", heads, rows)
-    words = (f"{model_words(result.model)}.",)
-    return (
-        verdict(headline(result), tone if result.converged else "bad", result.doubts),
-        Section("states", "States", (), (outcomes, *robot_tables(poses))),
-        Section("errors", "Errors", held_out_sentences(poses)),
-        Section("model", "Model", words, folded=True),
-    )
+    yield Section("states", "States", (), (outcomes, *robot_tables(poses)))
+    yield Section("errors", "Errors", held_out_sentences(poses))
+    yield Section("model", "Model", (f"{model_words(result.model)}.",), folded=True)
 
 
 def model_words(model: Model) -> str:

@@ -1,9 +1,8 @@
 """What each kind of result says: the only place with its words."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import compress
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,14 +18,11 @@ from softcal_jax.calibration import (
     MultiStartResult,
     SimulationResult,
 )
-from softcal_jax.configurations import ImposedDisplacement
-from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.designs import LEVEL, DesignResult
-from softcal_jax.fields import ControlPointParameters
+from softcal_jax.control import InverseResult, TrajectoryResult
+from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.materials import youngs_moduli
 from softcal_jax.project import Project
 from softcal_jax.results._calibration import (
     assessment_sections,
@@ -34,21 +30,22 @@ from softcal_jax.results._calibration import (
     outlook_sections,
     search_sections,
 )
-from softcal_jax.results._headlines import headline, missed_words, off_words
-from softcal_jax.results._json import plain
-from softcal_jax.results._poses import (
-    MOVED,
-    actuator_cells,
-    effector_name,
-    simulation_sections,
+from softcal_jax.results._goals import (
+    design_sections,
+    inverse_sections,
+    trajectory_sections,
 )
+from softcal_jax.results._poses import simulation_sections
 from softcal_jax.results._sweep import sweep_sections
 from softcal_jax.results._tree import Column, Section, Table, Tone, Value, verdict
 from softcal_jax.sweeps import SweepResult
 
+_COARSE = 0.3
+"""Difference over a value, or in rad, that must be seen if agreement is to say much."""
+
 
 def sections(
-    result: object, known: Assessment | Ranking | None = None
+    result: object, known: Assessment | Ranking | None = None, **chosen: Any
 ) -> tuple[Section, ...]:
     """Write what a result says, as a tree; those without a title come first.
 
@@ -56,212 +53,37 @@ def sections(
         result: The result.
         known: What is known of it besides: the assessment of a calibration, or
             candidates that are ranked beside an `Identifiability`.
+        chosen: What tables of a sweep show, see `_sweep.sweep_sections`.
+
+    Raises:
+        TypeError: If it is no result of this package.
+        ValueError: If a sweep has no such axis or figure.
+    """
+    return tuple(_written(result, *([] if known is None else [known]), **chosen))
+
+
+def headline(result: object) -> str:
+    """Say what a result comes to, in a sentence or two: its verdict without reasons.
 
     Raises:
         TypeError: If it is no result of this package.
     """
+    return next(s.text[0] for s in _written(result) if s.key == "verdict")
+
+
+def _written(result: object, *known: object, **chosen: Any) -> Iterable[Section]:
     if type(result) not in _SECTIONS:
         raise TypeError(f"a {type(result).__name__} is no result that has sections.")
-    write = _SECTIONS[type(result)]
-    return write(result) if known is None else write(result, known)
+    return _SECTIONS[type(result)](result, *known, **chosen)
 
 
-def _design(result: DesignResult) -> tuple[Section, ...]:
-    """Write fields as ordered, goals, commands, limits, and what less could do."""
-    reasons = *missed_words(result), *_sentences_on_worth(result)
-    goals = _designed(result), _commands(result), _limits(result)
-    return (
-        verdict(headline(result), "good" if result.met else "doubtful", reasons),
-        Section("goals", "Goals", (), goals),
-        Section("ordered", "As ordered", (), (_ordered(result),)),
-        Section("worth", "What it is worth", (), (_worth(result),)),
-    )
-
-
-def _ordered(result: DesignResult) -> Table:
-    """Tabulate what is ordered at each control point, with its foam."""
-    values = result.values
-    rows: dict[str, dict[str, float]] = {}
-    of_unit: dict[str, str] = {}
-    for entry in result.fit.space.entries:
-        for q in entry.parameters:
-            if q.name in values:
-                at_points = isinstance(entry, ControlPointParameters)
-                field = entry.field if at_points else ""
-                point = q.name.removeprefix(f"{field} of ")
-                rows.setdefault(point, {})[field] = values[q.name]
-                of_unit[field] = q.unit
-    columns = [
-        Column(field or "value", [row.get(field) for row in rows.values()], unit)
-        for field, unit in of_unit.items()
-    ]
-    foam, law = result.foam, result.fit.model.law
-    names = [path.rpartition(".")[2] for path, _ in youngs_moduli(law)]
-    moduli = [[row[n] for n in names if n in row] for row in rows.values()]
-    if foam is not None and any(moduli):
-        infill = [
-            foam.find(np.array([min(m)]), np.array([max(m)])) if m else None
-            for m in moduli
-        ]
-        density = [None if found is None else found.density[0] for found in infill]
-        shape = [None if found is None else found.anisotropy[0] for found in infill]
-        columns += [Column("density", density, "percent")]
-        columns += [Column(foam.setting, shape, "ratio")]
-    columns = Column("control point", [*rows]), *columns
-    return Table("As ordered", columns)
-
-
-def _designed(result: DesignResult) -> Table:
-    rows = []
-    for goal in result.goals:
-        effector, met = goal.effector, "met" if goal.met else "missed"
-        # What nothing that is printed moves has no spread.
-        printed: list[Any] = [None, None, "-"]
-        if goal.hangs_on:
-            ends = (
-                readable_values([e], effector.unit, digits=2) for e in goal.interval
-            )
-            share = f"{goal.hangs_on} ({readable(goal.share, 'percent')})"
-            printed = [goal.expected, " to ".join(ends).rstrip(), share]
-        rows.append(
-            (
-                goal.configuration,
-                effector_name(effector),
-                Value(met, tone="good" if goal.met else "bad"),
-                Value(goal.error, effector.unit),
-                Value(printed[0], effector.unit),
-                *printed[1:],
-            )
-        )
-    heads = "configuration | effector | goal | off by | printed, rms | "
-    heads += f"{100 * LEVEL:g} % of prints | hangs on"
-    return Table.of("Goals", heads, rows, digits=2)
-
-
-def _commands(result: DesignResult) -> Table:
-    actuators = result.fit.model.mechanism.actuators
-    rows = []
-    for configuration in result.configurations:
-        for name, imposed in configuration.actuation.items():
-            kind = actuators.kinds[actuators.names.index(name)]
-            by_displacement = isinstance(imposed, ImposedDisplacement)
-            unit = kind.displacement_unit if by_displacement else kind.force_unit
-            rows.append((configuration.name, name, Value(imposed.value, unit or "")))
-    return Table.of("Commands", "configuration | actuator | imposed", rows)
-
-
-def _limits(result: DesignResult) -> Table:
-    """Tabulate what is largest anywhere in the body, where it has a limit."""
-    rows = []
-    for p in result.peaks:
-        sizes = (Value(size, p.unit.strip("-")) for size in (p.value, p.limit))
-        kept = Value("kept", tone="good") if p.kept else Value("exceeded", tone="bad")
-        rows.append((p.configuration, p.name, *sizes, kept))
-    heads = "configuration | anywhere in the body | value | limit | "
-    return Table.of("Limits", heads, rows)
-
-
-def _sentences_on_worth(result: DesignResult) -> Iterator[str]:
-    """Say what the design is worth, one sentence for each alternative."""
-    for a in result.alternatives:
-        text, error = f"{a.error:.3g} tolerances off", f"{result.error:.3g}"
-        if np.isfinite(a.expected):
-            text += f", {a.expected:.3g} as printed"
-            error += f" and {result.expected:.3g}"
-        if not a.result.converged:
-            text += " or less (its search did not converge)"
-        yield f"With {a.name} the goals are {text}, with this design {error}."
-
-
-def _worth(result: DesignResult) -> Table:
-    rows: list[tuple[str, float, float | None]]
-    rows = [("this design", result.error, result.expected)]
-    for a in result.alternatives:
-        lost = "" if a.result.converged else " (not converged)"
-        rows.append((f"{a.name}{lost}", a.error, a.expected))
-    heads = "with | error over all goals, in tolerances [ratio] | as printed [ratio]"
-    return Table.of("What the design is worth", heads, rows)
-
-
-def _inverse(result: InverseResult | TrajectoryResult) -> tuple[Section, ...]:
-    """Write how closely goals are met, and what the actuators do for it."""
-    if isinstance(result, TrajectoryResult):
-        return _trajectory(result)
-    inputs = (f"Commanded: {_commanded(result)}.",)
-    reached = ("Active limits:", *result.active_limits) if result.active_limits else ()
-    tried = [(a.way, a.n_steps, a.error) for a in result.attempts]
-    heads = "started from | steps | largest error, in standard deviations [ratio]"
-    search = (Table.of("Descents", heads, tried),)
-    rows = []
-    for state in result.actuators:
-        commanded = state.name in result.configuration.actuation
-        kind = f"{state.kind}{', not commanded' * (not commanded)}"
-        rows.append((state.name, kind, *actuator_cells(state)))
-    actuators = Table.of("Actuators", f"actuator | kind | {MOVED}", rows)
-    tables = goal_table(result.goals), actuators
-    return (
-        verdict(headline(result), "good" if result.met else "doubtful", inputs),
-        Section("goals", "Goals and commands", reached, tables),
-        Section("search", "Course of the search", (), search, folded=True),
-    )
-
-
-def _commanded(result: InverseResult) -> str:
-    """Say what is imposed on the commanded actuators, in words."""
-    imposed = lambda a: (getattr(a, a.imposed), getattr(a, f"{a.imposed}_unit"))
-    return ", ".join(
-        f"{a.name} = {readable_values([value], unit or '')}"
-        for a in result.actuators
-        if a.name in result.configuration.actuation
-        for value, unit in [imposed(a)]
-    )
-
-
-def _trajectory(result: TrajectoryResult) -> tuple[Section, ...]:
-    points = result.points
-    far = [headline(points[i]) for i in result.unmet]
-    rows = [
-        (i, _commanded(p), Value(headline(p), tone="good" if p.met else "bad"))
-        for i, p in enumerate(points, 1)
-    ]
-    table = Table.of("Commands", "goal | inputs | outcome", rows)
-    return (
-        verdict(headline(result), "doubtful" if far else "good", far),
-        Section("goals", "Goals and commands", (), (table,)),
-    )
-
-
-def goal_table(goals: Sequence[GoalFit]) -> Table:
-    """Tabulate goals, and what is reached."""
-    rows: list[Any] = []
-    for fit in goals:
-        both = [fit.effector.measured, fit.reached]
-        worst = float(np.max(np.abs(fit.in_std), initial=0.0))
-        pair = (_coordinates(fit, values, both) for values in both)
-        rows.append((effector_name(fit.effector), *pair, off_words(fit), worst))
-    heads = "effector | goal | reached | off by | standard deviations [step]"
-    return Table.of("Goals", heads, rows)
-
-
-def _coordinates(fit: GoalFit, values: Any, beside: Any) -> str:
-    """Write the coordinates that have a goal, in the unit of all that stands beside.
-
-    Axes are named if some have none.
-    """
-    seen = np.asarray(fit.effector.seen)
-    if np.isnan(values[seen]).any():
-        return "unknown"
-    axes = "" if seen.all() else f"{', '.join(compress('xyz', seen))} = "
-    known = np.concatenate(beside)
-    text = readable_values(values[seen].tolist(), fit.effector.unit, beside=known)
-    return f"{axes}{text.rstrip()}"
-
-
-def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
+def _comparison(comparison: ModelComparison) -> Iterator[Section]:
     # The best of several may still predict badly, so there is no tone of success.
     tone: Tone = "bad"
     if comparison.best is not None:
         tone = "doubtful" if comparison.undecided else "plain"
+    yield verdict(_best_model(comparison), tone)
+    yield Section("failures", "What failed", tuple(_failures(comparison)))
     models, rows = comparison.models, []
     for model, worse in zip(models, (None, *comparison.differences), strict=True):
         n, failed = len(model.folds), len(model.failed)
@@ -275,7 +97,7 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
         rows.append((*named, *sizes, excess, model.fit_rms, failed))
     heads = "model | parameters | held-out error [m] | error / noise [correlation]"
     heads += " | excess over best, in noise^2 | fit [m] | failed folds"
-    table = Table.of("Models", heads, rows)
+    yield Section("models", "Models", (), (Table.of("Models", heads, rows),))
     errors_of = {m.name: {f.held_out: f.rms for f in m.good} for m in models}
     poses = [*dict.fromkeys(fold.held_out for m in models for fold in m.folds)]
     folds = (
@@ -284,12 +106,34 @@ def _comparison(comparison: ModelComparison) -> tuple[Section, ...]:
     )
     title = "Held-out error of each configuration"
     alone = Table(title, (Column("configuration", poses), *folds))
-    return (
-        verdict(headline(comparison), tone),
-        Section("failures", "What failed", tuple(_failures(comparison))),
-        Section("models", "Models", (), (table,)),
-        Section("folds", "Held-out configurations", (), (alone,), folded=True),
+    yield Section("folds", "Held-out configurations", (), (alone,), folded=True)
+
+
+def _best_model(result: ModelComparison) -> str:
+    """Say which model is best, and from which others the data distinguish it."""
+    best = result.best
+    if best is None:
+        return "No model predicts every configuration, so none can be preferred."
+    size = readable_values([best.held_out_rms], "m", digits=3) + ", "
+    first = (
+        f"{best.name!r} has the smallest held-out error: "
+        f"{size * bool(np.isfinite(best.held_out_rms))}"
+        f"{best.held_out_noise_rms:.2f} times the noise."
     )
+    rivals = [model for model in result.models[1:] if not model.failed]
+    close = [model for model in rivals if model.name in result.undecided]
+    worse = [model for model in rivals if model.name not in result.undecided]
+    names = lambda models: listed([repr(model.name) for model in models])
+    if not rivals:
+        return f"{first} No other model predicts every configuration."
+    if not close:
+        return f"{first} The data distinguish it from {names(worse)}."
+    text = f"{first} The data cannot distinguish it from {names(close)}"
+    text += f", but can from {names(worse)}." if worse else "."
+    fewest = min([best, *close], key=lambda m: (m.n_parameters, m.score))
+    if fewest.n_parameters < best.n_parameters:
+        text += f" Of these, {fewest.name!r} has the fewest parameters."
+    return text
 
 
 def _failures(result: ModelComparison) -> Iterator[str]:
@@ -319,15 +163,6 @@ class Transfer(Result):
     rms_own: Float[HostArray, " n_c"]
     rms_of_a: Float[HostArray, " n_c"]
     lost: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all of it for JSON, in SI; None where a number is not known."""
-        d = self.difference
-        judged = {key: getattr(d, key) for key in ("probability", "agree")}
-        return {**plain(self), **judged, "verdict": self._words()}
-
-    def _words(self) -> str:
-        return headline(self.difference)
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
@@ -377,9 +212,21 @@ def _predicted(
     return simulated.configurations
 
 
-def _transfer(result: Transfer) -> tuple[Section, ...]:
-    d, lost = result.difference, f"was found for {listed(result.lost)}."
-    lost = (f"With the values of A, no equilibrium {lost}",) * bool(result.lost)
+def _transfer(result: Transfer) -> Iterator[Section]:
+    head, values = _difference(result.difference)
+    if result.lost:
+        lost = f"no equilibrium was found for {listed(result.lost)}."
+        head = head._replace(text=(*head.text, f"With the values of A, {lost}"))
+    yield head
+    heads = "pose of B | motion [m] | error, fitted to B [m] | error, values of A [m]"
+    errors = result.motion, result.rms_own, result.rms_of_a
+    rows = zip(result.poses, *errors, strict=True)
+    poses = Table.of("Prediction", heads, rows)
+    yield values._replace(tables=(*values.tables, poses))
+
+
+def _difference(d: Difference) -> Iterator[Section]:
+    yield verdict(_agreement(d), "plain")
     each = zip(
         d.names, d.units, d.of_a, d.std_a, d.of_b, d.std_b, d.unseen, strict=True
     )
@@ -388,28 +235,51 @@ def _transfer(result: Transfer) -> tuple[Section, ...]:
         for name, u, a, std_a, b, std_b, unseen in each
     ]
     heads = "parameter | from A | from B | smallest detectable difference"
-    values = Table.of("Values", heads, rows)
-    heads = "pose of B | motion [m] | error, fitted to B [m] | error, values of A [m]"
-    errors = result.motion, result.rms_own, result.rms_of_a
-    rows = zip(result.poses, *errors, strict=True)
-    poses = Table.of("Prediction", heads, rows)
+    yield Section("values", "Values", (), (Table.of("Values", heads, rows),))
+
+
+def _agreement(d: Difference) -> str:
+    """Say whether the values of two robots agree, or where they differ most."""
+    chi2 = f"chi-squared {d.chi_squared:.3g} for {d.directions}"
+    by = lambda i, sizes: (
+        f"{d.names[i]} by {readable(float(f'{sizes[i]:.2g}'), d.units[i])}"
+    )
+    if d.contradicted:
+        return (
+            f"The model contradicts the data of {listed(d.contradicted)}: such "
+            "values hold at most for the loads and shape that they were fitted to. "
+            f"Between A and B: {chi2}."
+        )
+    if d.agree:
+        size = np.where(np.array(d.units) == "rad", 1.0, np.abs(d.of_a))
+        coarse = np.flatnonzero(d.unseen > _COARSE * size).tolist()
+        hidden = [by(i, d.unseen) for i in coarse]
+        text = f"Both agree within their errors ({chi2})"
+        if hidden:
+            return f"{text}, but a difference could hide: {listed(hidden)}."
+        return f"{text}, as material properties would."
+    largest = np.argsort(-np.abs(d.worst / d.unseen))[:4].tolist()
+    changes = [by(i, d.worst) for i in largest]
     return (
-        verdict(headline(d), "plain", lost),
-        Section("values", "Values", (), (values, poses)),
+        f"They do not agree ({chi2}): the values of at least one robot hold only "
+        "for its loads and shape. From A to B they differ most in "
+        f"{listed(changes)} ({d.worst_size:.1f} standard errors)."
     )
 
 
-_SECTIONS: dict[type, Callable[..., tuple[Section, ...]]] = {
+_SECTIONS: dict[type, Callable[..., Iterable[Section]]] = {
     CalibrationResult: calibration_sections,
     MultiStartResult: search_sections,
     SimulationResult: simulation_sections,
-    DesignResult: _design,
-    InverseResult: _inverse,
-    TrajectoryResult: _inverse,
+    DesignResult: design_sections,
+    InverseResult: inverse_sections,
+    TrajectoryResult: trajectory_sections,
     Assessment: assessment_sections,
     Identifiability: outlook_sections,
     Ranking: lambda ranking: outlook_sections(None, ranking),
     ModelComparison: _comparison,
+    Difference: _difference,
     Transfer: _transfer,
     SweepResult: sweep_sections,
 }
+"""What writes the sections of each kind of result, one after the other."""

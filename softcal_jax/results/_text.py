@@ -15,6 +15,7 @@ from rich.text import Text
 
 from softcal_jax._files import write_rows
 from softcal_jax._text import escaped
+from softcal_jax._units import QUANTITIES
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.results._tree import MOST_REASONS, Section, Table, Tone, listed_texts
 
@@ -182,9 +183,9 @@ def _write_table(path: Path, table: Table) -> None:
     """Write a table as CSV, in SI, but distances in mm."""
     heads, columns = [], []
     for column in table.columns:
-        in_mm = column.quantity == "distance"
-        factor, form = (1e3, ".6f") if in_mm else (1.0, ".9g")
-        heads.append(f"{column.title}_mm" if in_mm else column.title)
+        unit, factor, _ = QUANTITIES.get(column.quantity, ("", 1.0, ""))
+        heads.append(f"{column.title}_{unit}" if unit else column.title)
+        form = ".6f" if unit else ".9g"
         columns.append([_cell(value, factor, form) for value in column.values])
     write_rows(path, heads, zip(*columns, strict=True))
 

@@ -1,5 +1,6 @@
 """Write a results folder: the results whole or not at all, then the bodies, too."""
 
+import os
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,7 @@ import jax
 import numpy as np
 
 from softcal_jax._module import Result
-from softcal_jax._places import with_remedy
+from softcal_jax._places import replacing, with_remedy
 from softcal_jax._text import SoftcalWarning
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -36,7 +37,6 @@ from softcal_jax.project import Project, printed_project
 from softcal_jax.results._folder import file_stems, results_folder
 from softcal_jax.results._html import (
     Html,
-    closing,
     figure,
     framed,
     head_html,
@@ -46,21 +46,19 @@ from softcal_jax.results._html import (
     resource,
     section_html,
 )
-from softcal_jax.results._json import (
-    Made,
-    bodies_of,
-    file_dict,
-    result_dict,
-    write_json,
-)
+from softcal_jax.results._json import bodies_of, plain, result_dict, write_json
+from softcal_jax.results._made import Made, closing, file_dict, made_dict
 from softcal_jax.results._outline import ROLES
 from softcal_jax.results._sections import sections
+from softcal_jax.results._sweep import sweep_page_sections
 from softcal_jax.results._text import write_csv
 from softcal_jax.results._tree import Section
 from softcal_jax.results._view import PageView, body_view
 from softcal_jax.results._vtu import write_pvd, write_robot_vtu, write_vtu
+from softcal_jax.sweeps import Sweep, SweepResult
 
 REPORT = "report.html"  # name of the page in a results folder
+_SWEEP = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
 MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
 Picture = Literal["png", "svg", "pdf"]
@@ -212,6 +210,68 @@ def write_results(
     return Path(directory)
 
 
+def write_sweep(
+    result: SweepResult,
+    folder: str | os.PathLike[str],
+    *,
+    sweep: Sweep | None = None,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the page of a sweep beside its folder, whole or not at all.
+
+    Trials that failed or did not converge are in no mean or chart. With `sweep`, the
+    page also has settings, files with their SHA-256 and the command that repeats it.
+
+    Args:
+        result: The sweep, finished or not.
+        folder: That of its rows; the page of `sweep` is `sweep_report.html`.
+        sweep: The sweep file as it was loaded; None for a function of your own.
+        timing_s: Wall time per part [s].
+
+    Returns:
+        The page.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+        OSError: If the page cannot be written.
+    """
+    path, folder = check_sweep_page(folder), Path(folder)
+    made, files = None, []
+    if sweep is not None:
+        project = sweep.project
+        made = Made(project.model, sweep.settings, project.source)
+        files.append(file_dict(sweep.file, folder.parent))
+    data = plain({**made_dict(made, folder.parent), "timing_s": timing_s or {}})
+    data["files"] = [folder.name]
+    tree = [*sweep_page_sections(result), *closing("sweep", data, files=files)]
+    text = page(result.name, _SWEEP, tree, index=folder.name, units="SI")
+    with replacing(path) as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
+    return path
+
+
+def check_sweep_page(folder: str | os.PathLike[str]) -> Path:
+    """Raise unless the page of a sweep can be written; call it before a long run.
+
+    Returns:
+        Where it is written: beside the folder of the sweep.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+    """
+    folder = Path(folder)
+    folder = folder if folder.name else folder.absolute()
+    path = folder.parent / f"{folder.name}_report.html"
+    head = path.read_bytes()[:200_000] if path.is_file() else b""
+    is_page = str(node("p", _SWEEP, class_="kind")).encode() in head
+    if path.exists() and not is_page:
+        raise FileExistsError(
+            f"{path} is not a page of a sweep and would be overwritten. Move it away, "
+            "or give the folder another name."
+        )
+    return path
+
+
 def notebook_html(result: object) -> str:
     """Write a result as the output of a cell: all of its sections that are not folded.
 
@@ -240,8 +300,7 @@ def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
         # On the host: on the device, each shape would compile a program.
         solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
         solved = simulation_result(point.model, [point.configuration], solution)
-        goals = tuple(fit.effector for fit in point.goals)
-        about = {"role": "command", "effectors": goals}
+        about = {"role": "command", "effectors": point.goals}
         about["name"] = f"goal {number}" if len(points) > 1 else "command"
         poses.append(replace(solved.configurations[0], **about))
     return SimulationResult(points[0].model, tuple(poses))

@@ -114,7 +114,8 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
     hurried = dataclasses.replace(
         loaded.project, settings=CalibrationSettings(max_steps=1)
     )
-    loaded = dataclasses.replace(loaded, project=hurried, z=loaded.z + jnp.log(0.5))
+    halved = loaded.estimate._replace(z=loaded.z + jnp.log(0.5))
+    loaded = dataclasses.replace(loaded, project=hurried, estimate=halved)
     with pytest.raises(NotConvergedError, match=r"not converge .* 1 steps"):
         export_sofa(loaded, tmp_path / "scene", law="corotational")
     assert not (tmp_path / "scene").exists()
