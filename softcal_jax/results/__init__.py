@@ -24,8 +24,6 @@ from softcal_jax.results._load import (
 from softcal_jax.results._made import Made as Made
 from softcal_jax.results._outline import (
     control_point_sets as control_point_sets,
-    mesh_section as mesh_section,
-    outline as outline,
     roles_of as roles_of,
 )
 from softcal_jax.results._poses import (
@@ -38,17 +36,15 @@ from softcal_jax.results._sections import (
     sections as sections,
     transfer as transfer,
 )
-from softcal_jax.results._text import (
-    console as console,
-    latex as latex,
-    text as text,
-    write_csv as write_csv,
-)
 from softcal_jax.results._tree import (
     Column as Column,
     Section as Section,
     Table as Table,
     Value as Value,
+    console as console,
+    latex as latex,
+    text as text,
+    write_csv as write_csv,
 )
 from softcal_jax.results._vtu import (
     read_displacement as read_displacement,

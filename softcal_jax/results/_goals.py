@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal_jax._text import listed
 from softcal_jax._units import readable, readable_values
-from softcal_jax.configurations import EffectorRecord, ImposedDisplacement
+from softcal_jax.configurations import EffectorRecord
 from softcal_jax.control import (
     OUTCOMES,
     InverseResult,
@@ -18,7 +18,7 @@ from softcal_jax.control import (
 from softcal_jax.designs import LEVEL, DesignResult
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.materials import youngs_moduli
-from softcal_jax.results._poses import MOVED, actuator_cells, effector_name
+from softcal_jax.results._poses import MOVED, actuator_cells, effector_name, imposed
 from softcal_jax.results._tree import Column, Section, Table, Value, verdict
 
 _LISTED = 4  # missed goals that a message lists
@@ -123,14 +123,11 @@ def _designed(result: DesignResult) -> Table:
 
 
 def _commands(result: DesignResult) -> Table:
-    actuators = result.fit.model.mechanism.actuators
-    rows = []
-    for configuration in result.configurations:
-        for name, imposed in configuration.actuation.items():
-            kind = actuators.kinds[actuators.names.index(name)]
-            by_displacement = isinstance(imposed, ImposedDisplacement)
-            unit = kind.displacement_unit if by_displacement else kind.force_unit
-            rows.append((configuration.name, name, Value(imposed.value, unit or "")))
+    rows = [
+        (c.name, name, Value(command.value, unit))
+        for c in result.configurations
+        for name, command, unit in imposed(result.fit.model, c)
+    ]
     return Table.of("Commands", "configuration | actuator | imposed", rows)
 
 

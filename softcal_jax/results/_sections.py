@@ -1,7 +1,7 @@
 """What each kind of result says: the only place with its words."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,8 @@ from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.project import Project
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project import Project, QuantityAsRead
 from softcal_jax.results._calibration import (
     assessment_sections,
     calibration_sections,
@@ -35,6 +36,7 @@ from softcal_jax.results._goals import (
     inverse_sections,
     trajectory_sections,
 )
+from softcal_jax.results._outline import mesh_sections, project_sections
 from softcal_jax.results._poses import simulation_sections
 from softcal_jax.results._sweep import sweep_sections
 from softcal_jax.results._tree import Column, Section, Table, Tone, Value, verdict
@@ -45,14 +47,19 @@ _COARSE = 0.3
 
 
 def sections(
-    result: object, known: Assessment | Ranking | None = None, **chosen: Any
+    result: object,
+    known: Assessment | Ranking | Sequence[QuantityAsRead] | None = None,
+    **chosen: Any,
 ) -> tuple[Section, ...]:
-    """Write what a result says, as a tree; those without a title come first.
+    """Write what a result says, or a project or a mesh, as a tree.
+
+    Sections without a title come first.
 
     Args:
         result: The result.
-        known: What is known of it besides: the assessment of a calibration, or
-            candidates that are ranked beside an `Identifiability`.
+        known: What is known of it besides: the assessment of a calibration, candidates
+            that are ranked beside an `Identifiability`, or the quantities of a project
+            as they were typed.
         chosen: What tables of a sweep show, see `_sweep.sweep_sections`.
 
     Raises:
@@ -281,5 +288,7 @@ _SECTIONS: dict[type, Callable[..., Iterable[Section]]] = {
     Difference: _difference,
     Transfer: _transfer,
     SweepResult: sweep_sections,
+    Project: project_sections,
+    TetMesh: mesh_sections,
 }
 """What writes the sections of each kind of result, one after the other."""

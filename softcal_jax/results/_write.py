@@ -49,10 +49,10 @@ from softcal_jax.results._html import (
 from softcal_jax.results._json import bodies_of, plain, result_dict, write_json
 from softcal_jax.results._made import Made, closing, file_dict, made_dict
 from softcal_jax.results._outline import ROLES
+from softcal_jax.results._poses import csv_tables
 from softcal_jax.results._sections import sections
 from softcal_jax.results._sweep import sweep_page_sections
-from softcal_jax.results._text import write_csv
-from softcal_jax.results._tree import Section
+from softcal_jax.results._tree import Section, write_csv
 from softcal_jax.results._view import PageView, body_view
 from softcal_jax.results._vtu import write_pvd, write_robot_vtu, write_vtu
 from softcal_jax.sweeps import Sweep, SweepResult
@@ -161,17 +161,17 @@ def write_results(
         posed = [{"name": p.name, "role": p.role} for p in shown.configurations]
         posed = data.get("configurations", posed)
         data["configurations"] = [{**entry, "files": []} for entry in posed]
+    tables = {} if shown is None else csv_tables(shown.configurations)
     known = {CalibrationResult: assessment, Identifiability: ranking}.get(type(result))
     tree = sections(result, known)
     ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
 
     def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
-        names = [REPORT, *texts]
         for file, content in texts.items():
             (folder / file).write_text(content, encoding="utf-8")
-        if shown is not None:
-            names += write_csv(folder, shown.configurations)
-        data["files"] = [*names, *bodies]
+        for file, table in tables.items():
+            write_csv(folder / file, table)
+        data["files"] = [REPORT, *texts, *tables, *bodies]
         pictures = [] if shown is None else pictures_of(data, folder, view)
         every = [
             *(section for section in tree if not section.title),

@@ -37,7 +37,7 @@ from softcal_jax.mesh import (
     volumes,
 )
 from softcal_jax.project import ProjectWarning, load_project, toml_key, toml_value
-from softcal_jax.results import mesh_section, results_folder, text
+from softcal_jax.results import results_folder, sections, text
 from softcal_jax.robots import ready_made_path
 
 DENSITY = 1070.0
@@ -102,7 +102,7 @@ def _mesh(findings: Findings) -> Iterator[str]:
     yield """element = "quadratic" # does not lock in bending; "linear" does
 """
     yield f"# {sides}. The mesh and its groups:"
-    lines = text([mesh_section(body.mesh)]).splitlines()
+    lines = text(sections(body.mesh)).splitlines()
     yield from (f"#   {line}" for line in lines[: _MOST_GROUPS + 1])
     if len(lines) > _MOST_GROUPS + 1:
         yield f"#   ... and {len(lines) - _MOST_GROUPS - 1} more: `softcal mesh`"
