@@ -74,38 +74,36 @@ TONES: dict[str, Tone] = {
 
 def calibration_sections(
     result: CalibrationResult, assessment: Assessment | None = None
-) -> tuple[Section, ...]:
+) -> Iterator[Section]:
+    """Write what a calibration answers, and what that rests on."""
     assessment = assessment or assess(result)
     fits, outlook = result.configurations, assessment.identifiability
+    yield from answer(result, assessment)
     tables = (
         parameter_table(result, outlook),
         interval_table(result),
         budget_table(result.budget),
         optima_table(result.starts),
     )
-    errors = tuple(error_tables(fits, result.checks))
+    yield Section("parameters", "Parameters", (), tables, budget_chart(result))
     predicted = tuple(filter(None, [assessment.prediction]))
-    tone = outlook_tone(outlook.verdict, assessment)
-    data, known = _blindness(outlook), (outlook_table(assessment),)
+    errors = error_tables(fits, result.checks)
+    yield Section("errors", "Residuals", predicted, errors, error_charts(fits))
+    yield Section("robot", "Robot", (), robot_tables(listed_fits(fits)))
+    tone, known = outlook_tone(outlook.verdict, assessment), outlook_table(assessment)
+    told = _blindness(outlook), (known,)
+    yield Section("data", "What the data determine", *told, tone=tone)
     agreement = result.checks.agreement if result.checks else ()
-    robot = tuple(robot_tables(listed_fits(fits)))
+    yield Section("agreement", "Each recording fitted alone", agreement)
+    yield Section("notes", "Notes", result.notes, tone="doubtful")
     course = (history_table(result),), course_charts(result)
+    yield Section("fit", "Course of the fit", (), *course, folded=True)
     subject = (_subject(result, outlook),)
-    return (
-        *answer(result, assessment),
-        Section("parameters", "Parameters", (), tables, budget_chart(result)),
-        Section("errors", "Residuals", predicted, errors, error_charts(fits)),
-        Section("robot", "Robot", (), robot),
-        Section("data", "What the data determine", data, known, tone=tone),
-        Section("agreement", "Each recording fitted alone", agreement),
-        Section("notes", "Notes", result.notes, tone="doubtful"),
-        Section("fit", "Course of the fit", (), *course, folded=True),
-        Section("subject", "What was calibrated", (), subject, folded=True),
-        _inner(outlook),
-    )
+    yield Section("subject", "What was calibrated", (), subject, folded=True)
+    yield _inner(outlook)
 
 
-def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, ...]:
+def answer(result: CalibrationResult, assessment: Assessment) -> Iterator[Section]:
     """Say what a calibration answers, in the order in which it is read."""
     every = result.parameters
     shown, more = every[:MOST_VALUES], len(every) - MOST_VALUES
@@ -117,16 +115,14 @@ def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, 
         rows.append((p.name, value_cell(p), level))
     note = f"and {more} more." if more > 0 else ""
     values = Table.of("", "parameter | value | interval", rows, note=note)
+    mistakes = tuple(f"Possible mistake: {text}" for text in result.mistakes)
+    yield Section("answer", "", mistakes, (values,))
+    yield verdict_of(assessment)
     none = "Held-out error: unknown, because every pose was used in the fit."
     held_out = held_out_sentences(result.configurations) or [none]
     scope = " ".join(filter(None, [assessment.held_fixed, _SCOPE]))
     follows = *held_out, f"Next: {_next_step(result, assessment)}", scope
-    mistakes = tuple(f"Possible mistake: {text}" for text in result.mistakes)
-    return (
-        Section("answer", "", mistakes, (values,)),
-        verdict_of(assessment),
-        Section("next", "", follows),
-    )
+    yield Section("next", "", follows)
 
 
 def _subject(result: CalibrationResult, outlook: Identifiability) -> Table:
