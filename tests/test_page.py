@@ -502,7 +502,7 @@ def test_page_of_what_data_would_tell(tmp_path):
             independent(rows, tuple(space.names)), space, space.start()
         )
         out = tmp_path / colour
-        write_results(outlook, out, ranking=make_ranking(), name="beam")
+        write_results(outlook, out, known=make_ranking(), name="beam")
         page = check_page(out)
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour

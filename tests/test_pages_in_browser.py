@@ -72,7 +72,7 @@ def simulate(folder: Path) -> Path:
 
 def identify(folder: Path) -> Path:
     outlook = assess(make_result()).identifiability
-    written = write_results(outlook, folder / "out", ranking=make_ranking())
+    written = write_results(outlook, folder / "out", known=make_ranking())
     return written / "report.html"
 
 

@@ -426,7 +426,7 @@ def test_an_outlook_as_a_folder(tmp_path):
     folder = write_results(
         outlook,
         tmp_path / "out",
-        ranking=make_ranking(),
+        known=make_ranking(),
         name="beam",
         timing_s={"solve": 1.0},
     )

@@ -71,7 +71,7 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     show.line()
     tree = results.sections(result, assessment)
     show.line(results.console(tree, short=not args.verbose))
-    about = {"name": project.name, "traces": project.traces, "assessment": assessment}
+    about = {"name": project.name, "traces": project.traces, "known": assessment}
     cli.write_results(result, args, show, **about)
     steps = len(result.history) - 1
     if result.interrupted:
@@ -199,7 +199,7 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
             show.line(f"{ranking}\n")
     result: Any = outlook or ranking
     made = _made(project, precision=project.precision)
-    about = {"name": project.name, "made": made, "ranking": ranking}
+    about = {"name": project.name, "made": made, "known": outlook and ranking}
     cli.write_results(result, args, show, **about)
 
 

@@ -221,7 +221,7 @@ def write_results(
     only prints the JSON. Where the folder cannot be written any more, as on a full
     disk, the results go to a temporary one, and the command ends with a message.
     """
-    from softcal_jax.results import FORMATS, result_dict, write_results
+    from softcal_jax.results import RESULT_KINDS, result_dict, write_results
 
     if args.output is None:
         show.document(result_dict(result, timing_s=show.laps, **about))
@@ -241,7 +241,7 @@ def write_results(
             raise Stop(BAD_INPUT, f"error: {error}\n{more}") from error
     show.lap("results and pictures")
     if show.as_json:
-        index = where / f"{FORMATS[type(result)].partition('/')[0]}.json"
+        index = where / f"{RESULT_KINDS[type(result)].file}.json"
         show.document(json.loads(index.read_text(encoding="utf-8")))
     show.times()
     more = " --verbose prints its tables." * (not getattr(args, "verbose", True))

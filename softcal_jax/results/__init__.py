@@ -7,7 +7,6 @@ from softcal_jax.results._folder import (
     results_folder as results_folder,
 )
 from softcal_jax.results._json import (
-    FORMATS as FORMATS,
     KEYS as KEYS,
     plain as plain,
     result_dict as result_dict,
@@ -31,6 +30,7 @@ from softcal_jax.results._poses import (
     model_words as model_words,
 )
 from softcal_jax.results._sections import (
+    RESULT_KINDS as RESULT_KINDS,
     Transfer as Transfer,
     headline as headline,
     sections as sections,

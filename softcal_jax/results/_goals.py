@@ -1,13 +1,16 @@
 """What is said of goals: of a design, of a command, and of commands along a course."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import compress
 from typing import Any
 
+import jax
 import numpy as np
 
 from softcal_jax._text import listed
 from softcal_jax._units import readable, readable_values
+from softcal_jax.calibration import SimulationResult, simulation_result
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.control import (
     OUTCOMES,
@@ -256,3 +259,23 @@ def off_words(goal: EffectorRecord) -> str:
     distance = goal.distance(goal.simulated)
     far = len(parts) > 1 and bool(np.isfinite(distance))
     return ", ".join(parts) + f" ({show(distance)} in all)" * far
+
+
+def design_bodies(result: DesignResult) -> SimulationResult:
+    """Return the equilibria of a design, as those of a simulation."""
+    posed = [replace(pose, role="design") for pose in result.fit.configurations]
+    return SimulationResult(result.fit.model, tuple(posed))
+
+
+def commanded_bodies(result: InverseResult | TrajectoryResult) -> SimulationResult:
+    """Describe the equilibrium of each command, to compare it with its goals."""
+    points = [result] if isinstance(result, InverseResult) else [*result.points]
+    poses = []
+    for number, point in enumerate(points, 1):
+        # On the host: on the device, each shape would compile a program.
+        solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+        solved = simulation_result(point.model, [point.configuration], solution)
+        about = {"role": "command", "effectors": point.goals}
+        about["name"] = f"goal {number}" if len(points) > 1 else "command"
+        poses.append(replace(solved.configurations[0], **about))
+    return SimulationResult(points[0].model, tuple(poses))

@@ -8,7 +8,6 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -47,9 +46,9 @@ from softcal_jax.layouts import (
     ModelScore,
     PairedDifference,
 )
-from softcal_jax.results._goals import missed_words
+from softcal_jax.results._goals import design_bodies, missed_words
 from softcal_jax.results._made import Made, made_dict
-from softcal_jax.results._sections import Transfer, headline
+from softcal_jax.results._sections import RESULT_KINDS, Transfer, headline
 from softcal_jax.unknowns import CorrelatedNoise
 
 KEYS: dict[type | str, str] = {
@@ -151,28 +150,15 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-FORMATS: dict[type, str] = {
-    CalibrationResult: "result/2",
-    SimulationResult: "simulation/1",
-    DesignResult: "design/1",
-    InverseResult: "inverse/1",
-    TrajectoryResult: "inverse/1",
-    Identifiability: "identifiability/3",
-    Ranking: "identifiability/3",
-    ModelComparison: "comparison/1",
-}
-"""Formats of the files of results: the name of the file, and a version."""
-
-RESULT_FORMAT = f"softcal_jax.{FORMATS[CalibrationResult]}"
+RESULT_FORMAT = f"softcal_jax.{RESULT_KINDS[CalibrationResult].format}"
 """Format of `result.json`."""
 
 
 def result_dict(
     result: Result,
+    known: Assessment | Ranking | None = None,
     *,
     name: str = "",
-    assessment: Assessment | None = None,
-    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
     made: Made | Mapping[str, Made] | None = None,
     directory: str | Path = ".",
@@ -186,9 +172,8 @@ def result_dict(
 
     Args:
         result: The result.
+        known: What is known of it besides, see `sections`.
         name: Its name; by default its kind.
-        assessment: That of a calibration, if known already.
-        ranking: Candidates that are ranked beside an `Identifiability`.
         timing_s: Wall times of further parts [s].
         made: What it was computed from and with; a calibration knows that, of models
             that are compared by their names.
@@ -197,10 +182,10 @@ def result_dict(
     Raises:
         TypeError: If it is no result that is written to a folder.
     """
-    times, kind = {**(timing_s or {})}, FORMATS.get(type(result), "")
+    times = {**(timing_s or {})}
     match result:
         case CalibrationResult():
-            assessment = assessment or assess(result)
+            assessment = known if isinstance(known, Assessment) else assess(result)
             with np.errstate(invalid="ignore", divide="ignore"):
                 content = plain(result)  # an exact fit has no spread
             content |= {
@@ -216,7 +201,7 @@ def result_dict(
         case SimulationResult():
             content, made = _simulation(result), made or Made(result.model, {})
         case DesignResult():
-            content = {**_simulation(bodies_of(result)), "design": _design(result)}
+            content = {**_simulation(design_bodies(result)), "design": _design(result)}
         case InverseResult() | TrajectoryResult():
             points = [result] if isinstance(result, InverseResult) else result.points
             met = all(point.met for point in points)
@@ -231,13 +216,14 @@ def result_dict(
                 "level": LEVEL_OF_COMPARISON,
             }
         case Identifiability() | Ranking():
-            content = _outlook(result, ranking)
+            content = _outlook(result, known)
         case _:
             raise TypeError(f"a {type(result).__name__} is no result that is written.")
+    kind = RESULT_KINDS[type(result)]
     return plain(
         {
-            "format": f"softcal_jax.{kind}",
-            "name": name or kind.partition("/")[0].replace("result", "calibration"),
+            "format": f"softcal_jax.{kind.format}",
+            "name": name or kind.file.replace("result", "calibration"),
             **made_dict(made, directory),
             **content,
             "timing_s": times,
@@ -271,11 +257,8 @@ def _budget(budget: ErrorBudget) -> dict[str, Any]:
     }
 
 
-def _outlook(
-    result: Identifiability | Ranking, ranking: Ranking | None
-) -> dict[str, Any]:
-    outlook = None if isinstance(result, Ranking) else result
-    ranked = result if isinstance(result, Ranking) else ranking
+def _outlook(result: Identifiability | Ranking, known: Any) -> dict[str, Any]:
+    outlook, ranked = (None, result) if isinstance(result, Ranking) else (result, known)
     budget = outlook and outlook.budget and _budget(outlook.budget)
     left = ranked.unranked.items() if ranked else ()
     said = ranked and {
@@ -284,12 +267,6 @@ def _outlook(
         "unranked": [{"name": name, "reason": reason} for name, reason in left],
     }
     return {"identifiability": outlook, "budget": budget, "ranking": said}
-
-
-def bodies_of(result: DesignResult) -> SimulationResult:
-    """Return the equilibria of a design, as those of a simulation."""
-    posed = [replace(pose, role="design") for pose in result.fit.configurations]
-    return SimulationResult(result.fit.model, tuple(posed))
 
 
 def _simulation(result: SimulationResult) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +33,8 @@ from softcal_jax.results._calibration import (
     search_sections,
 )
 from softcal_jax.results._goals import (
+    commanded_bodies,
+    design_bodies,
     design_sections,
     inverse_sections,
     trajectory_sections,
@@ -79,9 +82,9 @@ def headline(result: object) -> str:
 
 
 def _written(result: object, *known: object, **chosen: Any) -> Iterable[Section]:
-    if type(result) not in _SECTIONS:
+    if type(result) not in RESULT_KINDS:
         raise TypeError(f"a {type(result).__name__} is no result that has sections.")
-    return _SECTIONS[type(result)](result, *known, **chosen)
+    return RESULT_KINDS[type(result)].sections(result, *known, **chosen)
 
 
 def _comparison(comparison: ModelComparison) -> Iterator[Section]:
@@ -274,21 +277,73 @@ def _agreement(d: Difference) -> str:
     )
 
 
-_SECTIONS: dict[type, Callable[..., Iterable[Section]]] = {
-    CalibrationResult: calibration_sections,
-    MultiStartResult: search_sections,
-    SimulationResult: simulation_sections,
-    DesignResult: design_sections,
-    InverseResult: inverse_sections,
-    TrajectoryResult: trajectory_sections,
-    Assessment: assessment_sections,
-    Identifiability: outlook_sections,
-    Ranking: lambda ranking: outlook_sections(None, ranking),
-    ModelComparison: _comparison,
-    Difference: _difference,
-    Transfer: _transfer,
-    SweepResult: sweep_sections,
-    Project: project_sections,
-    TetMesh: mesh_sections,
+Bodies = CalibrationResult | SimulationResult
+"""Results that have equilibria."""
+
+
+class ResultKind(NamedTuple):
+    """All that a kind of result is, to what writes it.
+
+    Attributes:
+        sections: What it says, section by section.
+        words: What was done, as a page says it; empty for what has no page.
+        command: The command that does it.
+        format: Format of its JSON: the name of the file, and a version.
+        bodies: Its equilibria; None for what has none.
+    """
+
+    sections: Callable[..., Iterable[Section]]
+    words: str = ""
+    command: str = ""
+    format: str = ""
+    bodies: Callable[[Any], CalibrationResult | SimulationResult | None] = lambda _: (
+        None
+    )
+
+    @property
+    def file(self) -> str:
+        """Name of its JSON and its text, without the ending."""
+        return self.format.partition("/")[0]
+
+
+_inverse = partial(
+    ResultKind,
+    words="Inverse control",
+    command="inverse",
+    format="inverse/1",
+    bodies=commanded_bodies,
+)
+_identify = partial(
+    ResultKind,
+    words="Identifiability",
+    command="identify",
+    format="identifiability/3",
+)
+_itself = lambda result: result
+
+RESULT_KINDS: dict[type, ResultKind] = {
+    CalibrationResult: ResultKind(
+        calibration_sections, "Calibration", "calibrate", "result/2", _itself
+    ),
+    SimulationResult: ResultKind(
+        simulation_sections, "Simulation", "simulate", "simulation/1", _itself
+    ),
+    DesignResult: ResultKind(
+        design_sections, "Design", "design", "design/1", design_bodies
+    ),
+    InverseResult: _inverse(inverse_sections),
+    TrajectoryResult: _inverse(trajectory_sections),
+    Identifiability: _identify(outlook_sections),
+    Ranking: _identify(lambda ranking: outlook_sections(None, ranking)),
+    ModelComparison: ResultKind(
+        _comparison, "Comparison of models", "compare", "comparison/1"
+    ),
+    MultiStartResult: ResultKind(search_sections),
+    Assessment: ResultKind(assessment_sections),
+    Difference: ResultKind(_difference),
+    Transfer: ResultKind(_transfer),
+    SweepResult: ResultKind(sweep_sections),
+    Project: ResultKind(project_sections),
+    TetMesh: ResultKind(mesh_sections),
 }
-"""What writes the sections of each kind of result, one after the other."""
+"""What is known of each kind of result; a new one is a row."""

@@ -1,32 +1,23 @@
 """Write a results folder: the results whole or not at all, then the bodies, too."""
 
 import os
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-
-import jax
-import numpy as np
 
 from softcal_jax._module import Result
 from softcal_jax._places import replacing, with_remedy
 from softcal_jax._text import SoftcalWarning
 from softcal_jax.calibration import (
     CalibrationResult,
-    SimulationResult,
     SourceFile,
-    simulation_result,
 )
 from softcal_jax.configurations import Traces
-from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.fields import field_standard_errors
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
-from softcal_jax.layouts import ModelComparison
+from softcal_jax.identifiability import Assessment, Ranking, assess
 from softcal_jax.plotting import (
     PICTURES,
     plot_traces,
@@ -46,11 +37,11 @@ from softcal_jax.results._html import (
     resource,
     section_html,
 )
-from softcal_jax.results._json import bodies_of, plain, result_dict, write_json
+from softcal_jax.results._json import plain, result_dict, write_json
 from softcal_jax.results._made import Made, closing, file_dict, made_dict
 from softcal_jax.results._outline import ROLES
 from softcal_jax.results._poses import csv_tables
-from softcal_jax.results._sections import sections
+from softcal_jax.results._sections import RESULT_KINDS, Bodies, sections
 from softcal_jax.results._sweep import sweep_page_sections
 from softcal_jax.results._tree import Section, write_csv
 from softcal_jax.results._view import PageView, body_view
@@ -76,10 +67,9 @@ def write_results(
     result: Result,
     directory: str | Path,
     *,
+    known: Assessment | Ranking | None = None,
     name: str = "",
     force: bool = False,
-    assessment: Assessment | None = None,
-    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
     made: Made | Mapping[str, Made] | None = None,
     traces: Mapping[str, Traces] | None = None,
@@ -106,10 +96,9 @@ def write_results(
     Args:
         result: The result.
         directory: The folder; it must be new or empty, or hold earlier results.
+        known: What is known of it besides, see `sections`.
         name: Name of the result; by default its kind.
         force: Replace earlier results; files that a user added stay.
-        assessment: Assessment of a calibration, if known already.
-        ranking: Candidates that are ranked beside an `Identifiability`.
         timing_s: Wall time of further parts, added to those of the result [s].
         made: What it was computed from and with; of models that are compared by their
             names, in the order in which they were given. A calibration knows it.
@@ -131,10 +120,10 @@ def write_results(
             results folder.
     """
     if isinstance(result, CalibrationResult):
-        assessment = assessment or assess(result)
+        known = known or assess(result)
         notes = *result.notes, *notes
-    kind, command, bodies_of = _KINDS[type(result)]
-    texts, shown = {}, bodies_of(result)
+    kind = RESULT_KINDS[type(result)]
+    texts, shown = {}, kind.bodies(result)
     if isinstance(result, DesignResult):
         source = project and project.source
         made = Made(result.fit.model, {"loop": result.fit.settings}, source)
@@ -142,27 +131,24 @@ def write_results(
         texts = {"project.toml": printed} if printed else {}
     data = result_dict(
         result,
+        known,
         name=name,
-        assessment=assessment,
-        ranking=ranking,
         timing_s=timing_s,
         made=made,
         directory=directory,
     )
     data["notes"] = notes
-    index = re.split("[./]", data["format"])[1]  # softcal_jax.result/2
-    if command in ("simulate", "inverse"):
+    if kind.command in ("simulate", "inverse"):
         values = calibration and SourceFile.of(Path(calibration))
         data["calibration"] = values and file_dict(values, directory)
     if shown is None:
-        words = (str(part) for part in (name, result, ranking) if part)
-        texts[f"{index}.txt"] = "\n\n".join(words) + "\n"
+        words = (str(part) for part in (name, result, known) if part)
+        texts[f"{kind.file}.txt"] = "\n\n".join(words) + "\n"
     else:
         posed = [{"name": p.name, "role": p.role} for p in shown.configurations]
         posed = data.get("configurations", posed)
         data["configurations"] = [{**entry, "files": []} for entry in posed]
     tables = {} if shown is None else csv_tables(shown.configurations)
-    known = {CalibrationResult: assessment, Identifiability: ranking}.get(type(result))
     tree = sections(result, known)
     ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
 
@@ -179,20 +165,20 @@ def write_results(
             *(s for s in tree if s.title and not s.folded and s.key != "notes"),
             *(section for section, _ in pictures),
             *(section for section in tree if section.folded),
-            *closing(command, data, options=options),
+            *closing(kind.command, data, options=options),
         ]
         whole = page(
             data["name"],
-            kind,
+            kind.words,
             every,
-            index=f"{index}.json",
-            units="SI" if command in ("design", "inverse") else "SI and mm",
+            index=f"{kind.file}.json",
+            units="SI" if kind.command in ("design", "inverse") else "SI and mm",
             drawn=ready | {section.key: drawn for section, drawn in pictures},
             robot=view and view.content,
             script=view.script if view else "",
         )
         (folder / REPORT).write_text(whole, encoding="utf-8")
-        write_json(folder / f"{index}.json", data)
+        write_json(folder / f"{kind.file}.json", data)
 
     with results_folder(directory, force=force) as folder:
         write(folder)
@@ -292,35 +278,6 @@ def notebook_html(result: object) -> str:
     return node("div", *content, class_="softcal", style=plain)
 
 
-def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
-    """Describe the equilibrium of each command, to compare it with its goals."""
-    points = [result] if isinstance(result, InverseResult) else [*result.points]
-    poses = []
-    for number, point in enumerate(points, 1):
-        # On the host: on the device, each shape would compile a program.
-        solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
-        solved = simulation_result(point.model, [point.configuration], solution)
-        about = {"role": "command", "effectors": point.goals}
-        about["name"] = f"goal {number}" if len(points) > 1 else "command"
-        poses.append(replace(solved.configurations[0], **about))
-    return SimulationResult(points[0].model, tuple(poses))
-
-
-_Bodies = CalibrationResult | SimulationResult
-
-_KINDS: dict[type, tuple[str, str, Callable[[Any], _Bodies | None]]] = {
-    CalibrationResult: ("Calibration", "calibrate", lambda result: result),
-    SimulationResult: ("Simulation", "simulate", lambda result: result),
-    DesignResult: ("Design", "design", bodies_of),
-    InverseResult: ("Inverse control", "inverse", _commanded),
-    TrajectoryResult: ("Inverse control", "inverse", _commanded),
-    Identifiability: ("Identifiability", "identify", lambda _: None),
-    Ranking: ("Identifiability", "identify", lambda _: None),
-    ModelComparison: ("Comparison of models", "compare", lambda _: None),
-}
-"""What was done, as a page says it, the command that does it, and its equilibria."""
-
-
 def pictures_of(
     data: Mapping[str, Any], folder: Path, view: PageView | None
 ) -> list[tuple[Section, Html]]:
@@ -361,7 +318,7 @@ def pictures_of(
 
 def _write_bodies(
     folder: Path,
-    result: _Bodies,
+    result: Bodies,
     data: dict[str, Any],
     *,
     suffix: Picture | None,
