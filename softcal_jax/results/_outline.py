@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -307,7 +307,8 @@ def _share(c: Configuration) -> str:
     """Write the part of the noise that is a share of the motion, if there is one."""
     if c.relative_std == "estimated":
         return " and an estimated share of the motion"
-    return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
+    share = readable(c.relative_std, "percent")
+    return f" and {share} of the motion" if c.relative_std else ""
 
 
 def _motion(
@@ -332,7 +333,7 @@ def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) ->
         return _motion([record], before)
     if record.is_turn:
         turn = math.acos(np.clip(0.5 * (np.trace(record.reference) - 1.0), -1.0, 1.0))
-        return f"turned {math.degrees(turn):.3g} deg from rest"
+        return f"turned {readable_values([turn], 'rad', digits=3)} from rest"
     return readable_values(list(record.measured), record.unit)
 
 

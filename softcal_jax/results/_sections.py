@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -63,7 +62,8 @@ def sections(
         known: What is known of it besides: the assessment of a calibration, candidates
             that are ranked beside an `Identifiability`, or the quantities of a project
             as they were typed.
-        chosen: What tables of a sweep show, see `_sweep.sweep_sections`.
+        chosen: Of a sweep: axes to group trials `by`, the `figures` to show, and
+            whether to list `every` trial.
 
     Raises:
         TypeError: If it is no result of this package.
@@ -75,10 +75,13 @@ def sections(
 def headline(result: object) -> str:
     """Say what a result comes to, in a sentence or two: its verdict without reasons.
 
+    It is empty for a project or a mesh.
+
     Raises:
         TypeError: If it is no result of this package.
     """
-    return next(s.text[0] for s in _written(result) if s.key == "verdict")
+    verdicts = (s.text[0] for s in _written(result) if s.key == "verdict")
+    return next(verdicts, "")
 
 
 def _written(result: object, *known: object, **chosen: Any) -> Iterable[Section]:
@@ -296,9 +299,7 @@ class ResultKind(NamedTuple):
     words: str = ""
     command: str = ""
     format: str = ""
-    bodies: Callable[[Any], CalibrationResult | SimulationResult | None] = lambda _: (
-        None
-    )
+    bodies: Callable[[Any], Bodies | None] = lambda _: None
 
     @property
     def file(self) -> str:
@@ -306,19 +307,8 @@ class ResultKind(NamedTuple):
         return self.format.partition("/")[0]
 
 
-_inverse = partial(
-    ResultKind,
-    words="Inverse control",
-    command="inverse",
-    format="inverse/1",
-    bodies=commanded_bodies,
-)
-_identify = partial(
-    ResultKind,
-    words="Identifiability",
-    command="identify",
-    format="identifiability/3",
-)
+_INVERSE = "Inverse control", "inverse", "inverse/1", commanded_bodies
+_IDENTIFY = "Identifiability", "identify", "identifiability/3"
 _itself = lambda result: result
 
 RESULT_KINDS: dict[type, ResultKind] = {
@@ -331,10 +321,10 @@ RESULT_KINDS: dict[type, ResultKind] = {
     DesignResult: ResultKind(
         design_sections, "Design", "design", "design/1", design_bodies
     ),
-    InverseResult: _inverse(inverse_sections),
-    TrajectoryResult: _inverse(trajectory_sections),
-    Identifiability: _identify(outlook_sections),
-    Ranking: _identify(lambda ranking: outlook_sections(None, ranking)),
+    InverseResult: ResultKind(inverse_sections, *_INVERSE),
+    TrajectoryResult: ResultKind(trajectory_sections, *_INVERSE),
+    Identifiability: ResultKind(outlook_sections, *_IDENTIFY),
+    Ranking: ResultKind(lambda ranking: outlook_sections(None, ranking), *_IDENTIFY),
     ModelComparison: ResultKind(
         _comparison, "Comparison of models", "compare", "comparison/1"
     ),
