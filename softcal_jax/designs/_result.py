@@ -49,6 +49,11 @@ class DesignGoal(Module):
         return f"{self.effector.name!r} in {self.configuration!r}"
 
     @property
+    def reached(self) -> Float[HostArray, " k"]:
+        """Coordinates reached as ordered; for a turn, counted from the goal."""
+        return self.effector.simulated
+
+    @property
     def error(self) -> float:
         """Size of the error as ordered, in the unit of the effector."""
         return self.effector.distance(self.effector.simulated)
