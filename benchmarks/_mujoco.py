@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks._problem import Figure
 from softcal_jax.exchange.mujoco import MujocoExport, export_mujoco
 from softcal_jax.project import load_project
-from softcal_jax.report import write_results
+from softcal_jax.results import write_results
 from softcal_jax.robots import ready_made_path
 
 _FRICTIONLESS = {

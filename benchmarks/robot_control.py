@@ -63,7 +63,7 @@ from softcal_jax.control import (
     solve_inverse,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import headline
+from softcal_jax.results import headline
 
 N_GOALS = 20
 

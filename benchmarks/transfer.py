@@ -49,7 +49,7 @@ from softcal_jax.inference import difference
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.project import Project, load_project
-from softcal_jax.report import transfer
+from softcal_jax.results import transfer
 from softcal_jax.robots import ready_made_path, synthetic_measurements
 
 LENGTH, JITTER = 0.12, 1e-4

@@ -39,8 +39,7 @@ def __dir__() -> list[str]:
 
 
 # Imported once a notebook shows a result.
-_report = lambda: import_module("softcal_jax.report")
-_notebook.html_of = lambda result: _report().notebook_html(result)
-_export = lambda: import_module("softcal_jax.export")
-_notebook.headline_of = lambda result: _export().headline(result)
-_notebook.text_of = lambda result: _report().text(_report().sections(result))
+_writers = lambda: import_module("softcal_jax.results")
+_notebook.html_of = lambda result: _writers().notebook_html(result)
+_notebook.headline_of = lambda result: _writers().headline(result)
+_notebook.text_of = lambda result: _writers().text(_writers().sections(result))

@@ -71,7 +71,7 @@ from softcal_jax.readings import (
     read_poses as read_poses,
     register as register,
 )
-from softcal_jax.report import (
+from softcal_jax.results import (
     load_result as load_result,
     write_results as write_results,
 )

@@ -1,7 +1,8 @@
-"""Checks of a file before it is opened, and of whether content is still the same."""
+"""Checks of files before they are opened, whether they are still the same, CSV rows."""
 
+import csv
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, wraps
 from itertools import islice
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._places import MEGABYTES
-from softcal_jax._text import suggestion
+from softcal_jax._text import as_cell, suggestion
 
 _LOOKED_AT = 1000  # most files of a folder that are compared with a misspelt name
 
@@ -63,6 +64,14 @@ def similar_file(path: Path) -> str:
         return f" There is no folder {path.parent}."
     others = islice(path.parent.iterdir(), _LOOKED_AT)
     return suggestion(path.name, (other.name for other in others if other.is_file()))
+
+
+def write_rows(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write rows as CSV, so that no spreadsheet takes a text for a formula."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        for row in (heads, *rows):
+            writer.writerow([as_cell(c) if isinstance(c, str) else c for c in row])
 
 
 class SourceFile(Module):

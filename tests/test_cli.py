@@ -17,8 +17,8 @@ from wording import says
 
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _shared, main
-from softcal_jax.export import RESULT_FORMAT, results_folder
 from softcal_jax.mistakes import Mistake
+from softcal_jax.results import results_folder
 from softcal_jax.robots import ready_made_path
 
 
@@ -51,9 +51,9 @@ def test_a_command_does_not_wait_for_what_it_may_not_need():
     heavy += ["jaxopt", "scipy.stats", "scipy.optimize", "scipy.interpolate"]
     code = f"""
 import sys, softcal_jax
-print(*{{"pydantic", "pint", "softcal_jax.report"}} & set(sys.modules))
+print(*{{"pydantic", "pint", "softcal_jax.results"}} & set(sys.modules))
 softcal_jax.load_project, softcal_jax.write_results
-import softcal_jax.cli, softcal_jax.project, softcal_jax.report
+import softcal_jax.cli, softcal_jax.project, softcal_jax.results
 print(*set({heavy}) & set(sys.modules))
 """
     done = subprocess.run(
@@ -259,7 +259,7 @@ def test_simulate(tmp_path, out, capsys):
 def write_values(folder, **values):
     """What of a `result.json` a prediction reads."""
     content = {
-        "format": RESULT_FORMAT,
+        "format": "softcal_jax.result/2",
         "converged": True,
         "source": None,
         "parameters": [{"name": k, "value": v} for k, v in values.items()],

@@ -15,7 +15,7 @@ from softcal_jax.cli import _calibrated, main
 from softcal_jax.control import sample_workspace
 from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import load_factor
-from softcal_jax.report import load_result
+from softcal_jax.results import load_result
 
 PUSH = """\
 [actuators.push]
@@ -121,16 +121,17 @@ def test_a_calibrated_pose_is_a_start(calibrated, tmp_path):
     assert solved.converged
     assert int(solved.steps) <= 1 < int(solve_equilibrium(loaded.model, lane).steps)
     np.testing.assert_allclose(solved.displacement, guess, atol=1e-9)
-    loaded.states["weight"].rename(tmp_path / "weight.vtu")
+    state = loaded.state_of("weight")
+    state.rename(tmp_path / "weight.vtu")
     try:
         assert loaded.displacement("weight") is None
     finally:
-        (tmp_path / "weight.vtu").rename(loaded.states["weight"])
+        (tmp_path / "weight.vtu").rename(state)
 
 
 def test_a_damaged_state_is_named(calibrated, tmp_path, capsys):
     """So the command reads it."""
-    state = load_result(calibrated / "out").states["weight"]
+    state = load_result(calibrated / "out").state_of("weight")
     content = state.read_bytes()
     state.write_text("no xml")
     try:

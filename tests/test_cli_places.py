@@ -52,9 +52,9 @@ def test_an_unwritable_folder_is_found_before_anything_is_solved(
 def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
     tmp_path, capsys, monkeypatch, also_there
 ):
-    from softcal_jax import export
+    from softcal_jax.results import _write
 
-    really, second = export.write_json, tmp_path / "second"
+    really, second = _write.write_json, tmp_path / "second"
     out = tmp_path / "out"
     second.mkdir()
 
@@ -63,7 +63,7 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
             return really(path, data)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-    monkeypatch.setattr(export, "write_json", full)
+    monkeypatch.setattr(_write, "write_json", full)
     monkeypatch.setattr(tempfile, "tempdir", str(second))
     path = write_small_project(tmp_path)
     checkpoint = tmp_path / "fit.npz"

@@ -9,7 +9,7 @@ from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.inference import Difference
-from softcal_jax.report import Transfer
+from softcal_jax.results import Transfer, plain
 
 QUICK = (
     "[shared]\n",
@@ -124,5 +124,5 @@ def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
         lost=("high",),
     )
     assert says(found, "no equilibrium was found for high ... high - 0.2 mm -")
-    assert found.as_dict()["lost"] == ["high"]
-    assert found.as_dict()["rms_of_a"] == [1.1e-3, None]
+    assert plain(found)["lost"] == ["high"]
+    assert plain(found)["rms_of_a"] == [1.1e-3, None]

@@ -10,7 +10,7 @@ from wording import says
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.plotting import draw_budget, draw_course
-from softcal_jax.report._calibration import (
+from softcal_jax.results._calibration import (
     MOST_PARAMETERS,
     budget_chart,
     course_charts,

@@ -47,8 +47,8 @@ import softcal_jax as sc
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.control import OUTCOMES
 from softcal_jax.equilibrium import RESULTS
-from softcal_jax.export import result_dict
 from softcal_jax.project import Table, _reading, load_project
+from softcal_jax.results import result_dict
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -22,7 +22,7 @@ from small_project import write_small_project
 
 from softcal_jax.cli import main
 from softcal_jax.control import follow_trajectory
-from softcal_jax.report import load_result
+from softcal_jax.results import load_result
 
 RECORD = Path(__file__).with_suffix(".json")
 

@@ -72,7 +72,8 @@ def test_the_source_distribution_has_tests_and_docs(built):
         names = {name.partition("/")[2] for name in archive.getnames()}
     for name in ("README.md", "LICENSE", "tests/conftest.py", "docs/conf.py"):
         assert name in names
-    assert not [name for name in names if "results/" in name or ".venv" in name]
+    others = [name.removeprefix("softcal_jax/results/") for name in names]
+    assert not [name for name in others if "results/" in name or ".venv" in name]
 
 
 def test_all_files_of_the_package_are_in_the_wheel_and_no_others(wheel):

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from wording import says
 
 from softcal_jax.plotting import draw_workspace
-from softcal_jax.report import held_out_sentences
-from softcal_jax.report._poses import MOST_LISTED, error_tables, listed_fits
+from softcal_jax.results import held_out_sentences
+from softcal_jax.results._poses import MOST_LISTED, error_tables, listed_fits
 
 ERRORS = np.arange(1, 21) * 1e-4  # of 20 poses, mixed [m]
 

@@ -8,7 +8,7 @@ from test_page import Read
 from wording import says
 
 from softcal_jax.identifiability import assess
-from softcal_jax.report import _write, notebook_html, write_results
+from softcal_jax.results import _write, notebook_html, write_results
 
 
 @functools.cache
@@ -38,7 +38,7 @@ def test_well_formed_and_small(kind):
     assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
 
 
-@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 def test_the_verdict_and_the_numbers_are_those_of_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
     result = make_result()

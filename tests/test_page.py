@@ -30,17 +30,18 @@ from softcal_jax.calibration import (
     SourceFile,
 )
 from softcal_jax.equilibrium import NewtonSettings
-from softcal_jax.export import Made, headline
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import independent
 from softcal_jax.layouts import FoldScore, ModelComparison, ModelScore
-from softcal_jax.report import (
+from softcal_jax.results import (
+    Made,
     _html,
     _write,
+    headline,
     write_results,
 )
-from softcal_jax.report._view import body_view
+from softcal_jax.results._view import body_view
 
 HOSTILE = "<img src=x onerror=alert(1)> & \"q\" 'a' </title>\x1b\u202e"
 """A name that breaks out of texts, attributes and terminals, if it can."""
@@ -50,7 +51,7 @@ VOID = {"br", "img", "input", "meta"}
 DATA = {"type": "application/json", "id": "view-data"}
 """Attributes of what a view draws, which runs nothing."""
 
-pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 
 
 @pytest.fixture(autouse=True)
@@ -417,7 +418,7 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     estimate = shown.space, shown.z, shown.budget.covariance
     errors = field_standard_errors(shown.model, *estimate)
     size += 3 * body_view(shown, errors).size // 4
-    monkeypatch.setattr("softcal_jax.report._write.MOST_PICTURES", size)
+    monkeypatch.setattr("softcal_jax.results._write.MOST_PICTURES", size)
     page, _ = written(tmp_path / "small", make_result())
     check_page(tmp_path / "small")
     assert len(drawn(page)) == 1
@@ -501,7 +502,7 @@ def test_page_of_what_data_would_tell(tmp_path):
             independent(rows, tuple(space.names)), space, space.start()
         )
         out = tmp_path / colour
-        write_results(outlook, out, ranking=make_ranking(), name="beam")
+        write_results(outlook, out, known=make_ranking(), name="beam")
         page = check_page(out)
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour

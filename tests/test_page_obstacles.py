@@ -12,10 +12,10 @@ from test_page_view import fields_of
 
 from benchmarks import _browser
 from softcal_jax.calibration import SimulationResult
-from softcal_jax.report import _write, write_results
-from softcal_jax.report._view_data import robot_data, surface_of, view_data
+from softcal_jax.results import _write, write_results
+from softcal_jax.results._view_data import robot_data, surface_of, view_data
 
-pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 
 
 @pytest.fixture(scope="module")

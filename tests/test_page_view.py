@@ -15,14 +15,13 @@ from wording import says
 from benchmarks._compilations import Compilations
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import build_model, tet_states
-from softcal_jax.export import write_vtu
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import load_project
-from softcal_jax.report import _view, _write, write_results
-from softcal_jax.report._view import body_view
-from softcal_jax.report._view_data import (
+from softcal_jax.results import _view, _write, write_results, write_vtu
+from softcal_jax.results._view import body_view
+from softcal_jax.results._view_data import (
     Field,
     calibrated_field,
     robot_data,
@@ -35,7 +34,7 @@ from softcal_jax.report._view_data import (
 NONE = 65535
 """What stands for no value."""
 
-pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 
 
 @pytest.fixture(autouse=True)

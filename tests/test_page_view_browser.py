@@ -10,7 +10,7 @@ from test_page_view import fits_of
 from wording import says
 
 from benchmarks import _browser
-from softcal_jax.report import _write, write_results
+from softcal_jax.results import _write, write_results
 
 pytestmark = pytest.mark.slow
 

@@ -26,7 +26,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
-from softcal_jax.report import (
+from softcal_jax.results import (
     _write,
     write_results,
     write_sweep,
@@ -46,7 +46,7 @@ _TOO_WIDE = (
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning"),
+    pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning"),
 ]
 
 
@@ -72,7 +72,7 @@ def simulate(folder: Path) -> Path:
 
 def identify(folder: Path) -> Path:
     outlook = assess(make_result()).identifiability
-    written = write_results(outlook, folder / "out", ranking=make_ranking())
+    written = write_results(outlook, folder / "out", known=make_ranking())
     return written / "report.html"
 
 

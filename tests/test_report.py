@@ -21,23 +21,23 @@ from matplotlib.image import imread
 from rich.console import Console
 from wording import says
 
-from softcal_jax import export
 from softcal_jax.calibration import (
     LeftOut,
     ParameterEstimate,
     ParameterInterval,
     ResidualChecks,
 )
-from softcal_jax.export import headline, latex
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
 from softcal_jax.plotting import rendering_problem
-from softcal_jax.report import (
+from softcal_jax.results import (
     Column,
     PictureWarning,
     _write,
     console as drawn,
+    headline,
+    latex,
     sections,
     write_results,
 )
@@ -118,7 +118,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
     assert data["configurations"][0]["files"] == ["droop.vtu"]
 
 
-@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 @pytest.mark.usefixtures("no_opengl")
 class TestWholeOrNotAtAll:
     def test_refused_without_force(self, tmp_path):
@@ -155,7 +155,7 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(export, part, fail)
+        monkeypatch.setattr(_write, part, fail)
         for name in ("new", "old"):
             with pytest.raises(OSError, match="disk full"):
                 write_results(make_result(converged=False), tmp_path / name, force=True)
@@ -174,7 +174,7 @@ class TestWholeOrNotAtAll:
                 raise OSError(error, os.strerror(error))
             raise error
 
-        owner = export if hasattr(export, part) else _write
+        owner = _write
         monkeypatch.setattr(owner, part, fail)
         kind = OSError if isinstance(error, int) else error
         for name in ("new", "old"):
@@ -207,7 +207,7 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(export, "write_json", fail)
+        monkeypatch.setattr(_write, "write_json", fail)
         with pytest.raises(OSError, match="disk full"):
             write_results(result, tmp_path / "new")
         assert names(tmp_path) == ["out"]
@@ -426,7 +426,7 @@ def test_an_outlook_as_a_folder(tmp_path):
     folder = write_results(
         outlook,
         tmp_path / "out",
-        ranking=make_ranking(),
+        known=make_ranking(),
         name="beam",
         timing_s={"solve": 1.0},
     )
@@ -447,7 +447,7 @@ def test_an_outlook_as_a_folder(tmp_path):
     assert json.loads((folder / "identifiability.json").read_text())["ranking"] is None
 
 
-@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 @pytest.mark.usefixtures("no_opengl")
 def test_a_verdict_goes_into_the_results(tmp_path):
     folder = write_results(make_result(), tmp_path / "out")
@@ -522,7 +522,7 @@ def test_simulation_table():
     assert rows[1][3].startswith("some tets are inverted")
 
 
-@pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 def test_no_equilibrium_is_said_instead_of_nan(tmp_path):
     """A pose that only the start parameters cannot hold: the rest is there."""
     result = make_result(fits=[nowhere_before(make_fit(small_model().mesh))])

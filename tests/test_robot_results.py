@@ -28,12 +28,12 @@ from softcal_jax.equilibrium import (
     Reaction,
     RobotState,
 )
-from softcal_jax.export import result_dict, write_csv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project
-from softcal_jax.report import console as drawn, sections
-from softcal_jax.report._calibration import course_charts
+from softcal_jax.results import console as drawn, result_dict, sections, write_csv
+from softcal_jax.results._calibration import course_charts
+from softcal_jax.results._poses import csv_tables
 
 WEIGHT = (60e-3 * 20e-3 * 20e-3 * 1000.0 + 0.01) * 9.81
 
@@ -253,7 +253,8 @@ def test_a_calibration_shows_them():
 def test_effectors_and_robot_as_csv(tmp_path):
     fits = [fit_with_robot()]
     json.dumps(result_dict(make_result(fits=fits)), allow_nan=False)
-    write_csv(tmp_path, fits)
+    for name, table in csv_tables(fits).items():
+        write_csv(tmp_path / name, table)
     with (tmp_path / "effectors.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [r["coordinate"] for r in rows] == ["turn_x", "turn_y", "turn_z", "value"]

@@ -33,9 +33,9 @@ import softcal_jax
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.cli import main
 from softcal_jax.configurations import EffectorRecord
-from softcal_jax.export import KEYS, OTHER, POINT
 from softcal_jax.identifiability import Assessment, Identifiability
 from softcal_jax.project import ProjectError, load_project
+from softcal_jax.results import KEYS
 from softcal_jax.robots import ready_made_path
 
 COARSE = ("cells = [14, 6, 6]", "cells = [6, 3, 3]")
@@ -294,19 +294,13 @@ def keys_of(kind: type, before: str = "") -> list[tuple[str, str]]:
         attribute = attribute or key.removesuffix("_mm")
         words = _in_mm(key, words_of(kind, attribute))
         rows.append((f"{before}{key}", words))
-        if key in EFFECTORS:
-            own = (one.removesuffix("_mm") for one in EFFECTORS[key].split())
-            of = (words_of(EffectorRecord, one) for one in own)
-            each = zip(EFFECTORS[key].split(), of, strict=True)
-            rows += [(f"{before}{key}.{one}", _in_mm(one, said)) for one, said in each]
+        for one in KEYS.get(key, "").split():  # of effectors
+            said = words_of(EffectorRecord, one.removesuffix("_mm"))
+            rows.append((f"{before}{key}.{one}", _in_mm(one, said)))
         for inner in _classes(types.get(attribute)):
             if dataclasses.is_dataclass(inner):
                 rows += keys_of(inner, f"{before}{key}.")
     return rows
-
-
-EFFECTORS = {"markers": POINT, "effectors": OTHER}
-"""Keys of effectors, by what has them."""
 
 
 def _in_mm(key: str, words: str) -> str:

@@ -37,16 +37,16 @@ equilibrium, 2 bad input, 130 interrupted (the best actuation so far is written)
 
 def inverse(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
+    from softcal_jax import results
     from softcal_jax.configurations import beyond
     from softcal_jax.control import OUTCOMES, ControlSettings, solve_inverse
-    from softcal_jax.export import Made, headline
     from softcal_jax.project import inverse_as_typed
+    from softcal_jax.results import Made, headline
 
     cli.start_computing(show)
     show.now(f"reading {args.results}")
     with cli.bad_input():
-        loaded = report.load_result(args.results, project=args.project)
+        loaded = results.load_result(args.results, project=args.project)
         project = loaded.project
         _check_parameters(loaded.space)
         posed, _ = loaded.posed(args.configuration)
@@ -74,7 +74,7 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         )
     show.lap("search")
     show.line()
-    show.line(report.console(report.sections(result)))
+    show.line(results.console(results.sections(result)))
     if further := beyond(project.calibration, result.configuration):
         show.line(f"The model is not tested there: {further}.")
     options = ["--configuration", posed.name]
@@ -85,12 +85,11 @@ def inverse(args: argparse.Namespace, show: cli.Display) -> None:
         result,
         args,
         show,
-        index="inverse.json",
         name=project.name,
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
         options=options,
-        notes=(*cli.with_care(loaded.outcome, loaded.doubts), *show.warnings),
+        notes=(*cli.with_care(loaded.content), *show.warnings),
     )
     if not result.met:
         interrupted = result.outcome == OUTCOMES.interrupted
@@ -199,7 +198,7 @@ def _export(
     else:
         cli.check_new(output, force=args.force)
     from softcal_jax.project import load_project
-    from softcal_jax.report import load_result
+    from softcal_jax.results import load_result
 
     cli.start_computing(show)
     show.now(f"reading {args.results}")
@@ -210,7 +209,7 @@ def _export(
         else:
             source = load_result(args.results, project=args.project)
             project = source.project
-            care = cli.with_care(source.outcome, source.doubts)
+            care = cli.with_care(source.content)
     show.lap("reading")
     said: list[str] = []
     watch = cli.watch_lines(show, cli.step_lines(project, show))

@@ -37,14 +37,14 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
     project = cli.load(args.project, show, solve=False)
     doubts = show.warnings
     from softcal_jax.project import quantities_as_read
-    from softcal_jax.report import outline, roles_of, text
+    from softcal_jax.results import roles_of, sections, text
 
     above = f" (warnings above: {len(doubts)})" if doubts else ""
     show.line(f"Nothing was solved. This is what the project describes{above}:")
     with cli.bad_input():
         quantities = quantities_as_read(args.project)
-        sections = filter(None, outline(project, quantities))
-        words = "\n\n".join(text([section]) for section in sections)
+        described = filter(None, sections(project, quantities))
+        words = "\n\n".join(text([section]) for section in described)
         show.line(f"\n{words}")
         show.lap("outline")
         if not args.no_pictures:
@@ -75,7 +75,7 @@ def _draw(project: "Project", picture: Path) -> None:
     import numpy as np
 
     from softcal_jax.plotting import MOST_PANELS, plot_plan
-    from softcal_jax.report import control_point_sets, roles_of
+    from softcal_jax.results import control_point_sets, roles_of
 
     posed = (*project.configurations, *project.candidates)
     left = len(posed) - MOST_PANELS
@@ -139,7 +139,7 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 def mesh(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
-    from softcal_jax.report import mesh_section, text
+    from softcal_jax.results import sections, text
 
     cli.check_suffix(args.output, ".msh")
     picture = args.output.with_suffix(f".{args.pictures}")
@@ -156,7 +156,7 @@ def mesh(args: argparse.Namespace, show: cli.Display) -> None:
             plot_groups(made, picture, title=args.model.name)
             show.lap("picture")
     show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
-    show.line(text([mesh_section(made)]))
+    show.line(text(sections(made)))
     drawn = "" if args.no_pictures else f", picture in {picture}"
     show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
     show.document(

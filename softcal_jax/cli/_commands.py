@@ -12,8 +12,8 @@ from softcal_jax.cli import _shared as cli
 if TYPE_CHECKING:
     from softcal_jax.calibration import CalibrationResult
     from softcal_jax.configurations import Configuration
-    from softcal_jax.export import Made
     from softcal_jax.project import Project
+    from softcal_jax.results import Made
 
 
 def demo(args: argparse.Namespace, show: cli.Display) -> None:
@@ -38,7 +38,7 @@ def demo(args: argparse.Namespace, show: cli.Display) -> None:
 
 def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
+    from softcal_jax import results
     from softcal_jax._units import readable
     from softcal_jax.identifiability import assess
 
@@ -69,10 +69,10 @@ def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
     if result.beyond_noise and not result.interrupted:
         result = _with_mistakes(result, show)
     show.line()
-    tree = report.sections(result, assessment)
-    show.line(report.console(tree, short=not args.verbose))
-    about = {"name": project.name, "traces": project.traces, "assessment": assessment}
-    cli.write_results(result, args, show, index="result.json", **about)
+    tree = results.sections(result, assessment)
+    show.line(results.console(tree, short=not args.verbose))
+    about = {"name": project.name, "traces": project.traces, "known": assessment}
+    cli.write_results(result, args, show, **about)
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged"
@@ -105,7 +105,7 @@ def _with_mistakes(
 
 def simulate(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
+    from softcal_jax import results
     from softcal_jax._process import Clock
     from softcal_jax.equilibrium import check_converged
 
@@ -113,23 +113,22 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
     show.now(f"equilibrium of {_names(project.configurations)}")
     progress = cli.equilibrium_lines(show)
     with Clock() as clock, cli.bad_input():
-        values = args.values and report.load_values(args.values)
+        values = args.values and results.load_values(args.values)
         result, solution = project.simulate(values, progress=progress)
     if values is not None:
         names = ", ".join(q.name for q in project.parameters)
         show.note(f"values of {args.values}: {names}")
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
-    show.line(report.console(report.sections(result)))
+    show.line(results.console(results.sections(result)))
     cli.write_results(
         result,
         args,
         show,
-        index="simulation.json",
         name=project.name,
         traces=project.traces,
         made=_made(project),
-        calibration=args.values and report.result_path(args.values),
+        calibration=args.values and results.result_path(args.values),
     )
     # Who has no equilibrium is named once the results are written.
     with cli.no_equilibrium("The results contain the others, if any."):
@@ -138,9 +137,9 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
 
 def design(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
-    from softcal_jax import report
+    from softcal_jax import results
     from softcal_jax.exchange.icesl import Design, export_icesl
-    from softcal_jax.export import headline
+    from softcal_jax.results import headline
 
     project = cli.load(args.project, show)
     with cli.bad_input():
@@ -153,9 +152,9 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         result = project.design(watch=cli.watch_lines(show, step, so_far))
     show.lap("design", compiling=result.fit.timing_s["compile"])
     show.line()
-    show.line(report.console(report.sections(result)))
+    show.line(results.console(results.sections(result)))
     about = {"name": project.name, "project": project}
-    cli.write_results(result, args, show, index="design.json", **about)
+    cli.write_results(result, args, show, **about)
     if result.foam is not None:
         ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
         printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
@@ -200,13 +199,13 @@ def identify(args: argparse.Namespace, show: cli.Display) -> None:
             show.line(f"{ranking}\n")
     result: Any = outlook or ranking
     made = _made(project, precision=project.precision)
-    about = {"name": project.name, "made": made, "ranking": ranking}
-    cli.write_results(result, args, show, index="identifiability.json", **about)
+    about = {"name": project.name, "made": made, "known": outlook and ranking}
+    cli.write_results(result, args, show, **about)
 
 
 def _made(project: "Project", **settings: Any) -> "Made":
     """Collect what a project was solved with: model, `settings`, and its file."""
-    from softcal_jax.export import Made
+    from softcal_jax.results import Made
 
     return Made(project.model, {**settings, "newton": project.newton}, project.source)
 
@@ -343,7 +342,7 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     made = {name: _made(project) for name, project in named}
     show.line()
     show.line(str(comparison))
-    cli.write_results(comparison, args, show, index="comparison.json", made=made)
+    cli.write_results(comparison, args, show, made=made)
     if comparison.best is None:
         raise cli.Stop(cli.NOT_CONVERGED, "no model predicts every configuration.")
 
@@ -379,11 +378,11 @@ bad input
 
 
 def transfer(args: argparse.Namespace, show: cli.Display) -> None:
-    from softcal_jax import report
+    from softcal_jax import results
 
     project = cli.load(args.project, show)
     with cli.bad_input():
-        of_a = report.load_result(args.result).estimate
+        of_a = results.load_result(args.result).estimate
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
     with cli.no_equilibrium("There is nothing to compare."):
@@ -392,10 +391,11 @@ def transfer(args: argparse.Namespace, show: cli.Display) -> None:
         if not result.converged:
             raise cli.Stop(cli.NOT_CONVERGED, "the calibration of B did not converge.")
         show.now("the poses of B with the values of A")
-        transferred = report.transfer(of_a, project, result)
+        transferred = results.transfer(of_a, project, result)
     show.line()
     show.line(str(transferred))
-    show.document(transferred.as_dict())
+    verdict = results.headline(transferred)
+    show.document({**results.plain(transferred), "verdict": verdict})
 
 
 def add_transfer(commands: "argparse._SubParsersAction") -> None:

@@ -57,11 +57,12 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
-def with_care(outcome: str, doubts: Sequence[str]) -> list[str]:
-    """Write the doubts about calibrated values as a note for whoever uses them."""
-    useless = outcome == "do not use"
+def with_care(content: Mapping[str, Any]) -> list[str]:
+    """Write what a loaded calibration doubts as a note for whoever uses its values."""
+    said = content["assessment"]
+    useless = said.get("outcome") == "do not use"
     what = "do not use the values" if useless else "take the values with care"
-    return [f"{what}: {' '.join(doubts)}"] if doubts else []
+    return [f"{what}: {' '.join(said['reasons'])}"] if said["reasons"] else []
 
 
 @contextmanager
@@ -119,7 +120,7 @@ def add_output(
 
 def check_folder(args: argparse.Namespace) -> None:
     """Check the output folder, if there is one, before a long run would fail there."""
-    from softcal_jax.export import check_results_folder
+    from softcal_jax.results import check_results_folder
 
     with bad_input():
         if args.output is not None:
@@ -166,7 +167,7 @@ def start_computing(show: Display) -> None:
 def load(path: Path, show: Display, *, solve: bool = True) -> "Project":
     """Load a project, and describe its model, with the solver if it is to `solve`."""
     from softcal_jax.project import load_project
-    from softcal_jax.report import model_words
+    from softcal_jax.results import model_words
 
     start_computing(show)
     show.now(f"reading {path.name}")
@@ -212,16 +213,15 @@ def refusal(error: Exception) -> Stop:
 
 
 def write_results(
-    result: Any, args: argparse.Namespace, show: Display, *, index: str, **about: Any
+    result: Any, args: argparse.Namespace, show: Display, **about: Any
 ) -> None:
-    """Write a result that is printed already, and say where; as JSON, print `index`.
+    """Write a result that is printed already, and say where; as JSON, print its file.
 
-    `about` is what `report.write_results` takes besides. A command without a folder
+    `about` is what `results.write_results` takes besides. A command without a folder
     only prints the JSON. Where the folder cannot be written any more, as on a full
     disk, the results go to a temporary one, and the command ends with a message.
     """
-    from softcal_jax.export import result_dict
-    from softcal_jax.report import write_results
+    from softcal_jax.results import RESULT_KINDS, result_dict, write_results
 
     if args.output is None:
         show.document(result_dict(result, timing_s=show.laps, **about))
@@ -241,7 +241,8 @@ def write_results(
             raise Stop(BAD_INPUT, f"error: {error}\n{more}") from error
     show.lap("results and pictures")
     if show.as_json:
-        show.document(json.loads((where / index).read_text(encoding="utf-8")))
+        index = where / f"{RESULT_KINDS[type(result)].file}.json"
+        show.document(json.loads(index.read_text(encoding="utf-8")))
     show.times()
     more = " --verbose prints its tables." * (not getattr(args, "verbose", True))
     show.line(f"Results in {where}: open {where / 'report.html'} in a browser.{more}")
@@ -325,7 +326,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
 def so_far(result: "CalibrationResult", show: Display) -> None:
     """Print the values before their errors, and what may still change them."""
     from softcal_jax._units import readable, readable_estimate
-    from softcal_jax.report import held_out_sentences
+    from softcal_jax.results import held_out_sentences
 
     of = "one start"
     if result.starts is not None and result.starts.optima:

@@ -49,10 +49,10 @@ examples:
 def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     import jax
 
-    from softcal_jax.report import (
+    from softcal_jax.results import (
         check_sweep_page,
         console,
-        sweep_sections,
+        sections,
         write_sweep,
     )
     from softcal_jax.sweeps import load_sweep, read_sweep
@@ -89,7 +89,7 @@ def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     show.lap("trials")
     show.line()
     with cli.bad_input():  # a page that cannot be written
-        show.line(console(sweep_sections(result)))
+        show.line(console(sections(result)))
         show.line(f"Rows in {folder}; `softcal sweep show {folder}` shows more.")
         if args.part is None:
             page = write_sweep(result, folder, sweep=loaded, timing_s=show.laps)
@@ -150,7 +150,7 @@ def _row_line(row: Mapping[str, Any]) -> str:
 def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.plotting import PictureStyle
-    from softcal_jax.report import console, sweep_sections
+    from softcal_jax.results import console, sections
     from softcal_jax.sweeps import plot_sweep, read_sweep, write_sweep_csv
 
     cli.check_new(*filter(None, (args.csv, args.plot)), force=True)
@@ -159,7 +159,7 @@ def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
         chosen = {"by": args.by, "figures": args.figure}
         rows = [_row_dict(row, result.axes) for row in result.rows]
         show.document({"name": result.name, "rows": rows})
-        tree = sweep_sections(result, **chosen, every=args.all)
+        tree = sections(result, **chosen, every=args.all)
         show.line(console(tree))
         if args.csv is not None:
             write_sweep_csv(result, args.csv)

@@ -157,7 +157,7 @@ class Configuration(Module):
             if self.markers is not None:
                 rows += self.markers.rows(mesh, self.measured)
             for effector in self.effectors:
-                if effector.name in [row.name for row in rows]:
+                if effector.name in [row.record.name for row in rows]:
                     raise ValueError(
                         f"effector {effector.name!r} has the name of another one."
                     )

@@ -30,56 +30,115 @@ class Unstated(float):
     """A default standard deviation: it weighs data, but does not state their noise."""
 
 
-class EffectorRow(NamedTuple):
-    """Up to three coordinates of an effector, as the solver sees them.
+_UNTURNED = np.broadcast_to(np.eye(3), (3, 3))  # which cannot be written to
 
-    Measured values are NaN where there is none, and `std` is infinite for a coordinate
-    that does not count. A point is carried by nodes with weights [-], and `slopes` by
-    which these change where it lies elsewhere [1/m], if it can; a turn has the index of
-    its body and the reference from which it is counted. Other quantities have a
-    function, like that of `Observation`.
+
+class EffectorRecord(Module):
+    """Up to three coordinates of an effector; results fill in simulated values.
+
+    A frame has two records, one of its point and one of its turn.
+
+    Attributes:
+        index: Index of their row in `EffectorArrays`, once they are stacked.
+        measured: Measured values, or goals; NaN for a coordinate that was not measured.
+            A turn is counted from the measured one.
+        std: Their standard deviation; infinite for a coordinate that was not measured.
+        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
+        at_rest: Of a point, its position on the undeformed robot [m]; otherwise NaN.
+        simulated_before: Simulated values with the start parameters; NaN without
+            an equilibrium, and where nothing was calibrated.
+        simulated: Simulated values of the result; NaN without an equilibrium.
     """
 
     name: str
     quantity: Quantity
     unit: str
+    index: int
     measured: Float[HostArray, " k"]
     std: Float[HostArray, " k"]
+    reference: Float[HostArray, "3 3"]
+    at_rest: Float[HostArray, " k"]
+    simulated_before: Float[HostArray, " k"]
+    simulated: Float[HostArray, " k"]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        quantity: Quantity,
+        unit: str,
+        measured: Float[HostArray, " k"],
+        std: Float[HostArray, " k"],
+        reference: Float[HostArray, "3 3"] = _UNTURNED,
+    ) -> "EffectorRecord":
+        """Make a record of which nothing is known but what was measured."""
+        none = np.full(len(std), np.nan)
+        return cls(name, quantity, unit, 0, measured, std, reference, none, none, none)
+
+    @property
+    def n_values(self) -> int:
+        """Number of coordinates."""
+        return len(self.std)
+
+    @property
+    def is_turn(self) -> bool:
+        return self.quantity == "turn"
+
+    @property
+    def seen(self) -> Bool[HostArray, " k"]:
+        """Which coordinates were measured."""
+        return np.isfinite(self.std)
+
+    @property
+    def residual(self) -> Float[HostArray, " k"]:
+        """Simulated minus measured values; NaN where not measured."""
+        return self.error(self.simulated)
+
+    @property
+    def in_std(self) -> Float[HostArray, " k"]:
+        """The residual in units of the standard deviation; NaN where not measured."""
+        return self.residual / self.std
+
+    @property
+    def worst(self) -> float:
+        """The largest of these where measured; NaN without an equilibrium [-]."""
+        return float(np.max(np.abs(self.in_std[self.seen]), initial=0.0))
+
+    def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
+        """Subtract the measured from the given values; NaN where not measured."""
+        return np.where(self.seen, values - self.measured, np.nan)
+
+    def distance(self, values: Float[HostArray, " k"]) -> float:
+        """Return the length of the error, along what was measured; NaN without any."""
+        error = self.error(values)[self.seen]
+        return float(np.linalg.norm(error)) if error.size else math.nan
+
+    def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
+        """Pick its coordinates among those of all rows of a configuration."""
+        return np.asarray(rows)[self.index, : self.n_values].copy()
+
+
+class EffectorRow(NamedTuple):
+    """Up to three coordinates of an effector, and where the solver finds them.
+
+    A point is carried by nodes with weights [-], and `slopes` by which these change
+    where it lies elsewhere [1/m], if it can; a turn has the index of its body. Other
+    quantities have a function, like that of `Observation`.
+    """
+
+    record: EffectorRecord
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
     slopes: Float[HostArray, "n 3"] = np.zeros((0, 3))
     body: int = 0
-    reference: Float[HostArray, "3 3"] = np.broadcast_to(np.eye(3), (3, 3))
     function: Callable[..., Any] | None = None
-
-    @property
-    def n_values(self) -> int:
-        return len(self.std)
 
     @property
     def observed(self) -> Observed | None:
         """The function that identifies the row; None for points and turns."""
         if self.function is None:
             return None
-        return Observed(self.name, self.n_values, self.function)
-
-    def record(
-        self, index: int, points: Float[HostArray, "n_points 3"]
-    ) -> "EffectorRecord":
-        """Describe it by its index in the arrays and all nodes at rest [m]."""
-        is_point, nothing = self.quantity == "point", np.full(self.n_values, np.nan)
-        return EffectorRecord(
-            name=self.name,
-            quantity=self.quantity,
-            unit=self.unit,
-            index=index,
-            measured=np.where(np.isfinite(self.std), self.measured, np.nan),
-            std=self.std,
-            reference=self.reference,
-            at_rest=self.weights @ points[self.nodes] if is_point else nothing,
-            simulated_before=nothing,
-            simulated=nothing,
-        )
+        return Observed(self.record.name, self.record.n_values, self.function)
 
 
 def effector_row(
@@ -91,6 +150,7 @@ def effector_row(
     *,
     n_values: int = 3,
     what: str = "std",
+    reference: Float[HostArray, "3 3"] = _UNTURNED,
     **carriers: Any,
 ) -> EffectorRow:
     """Make a row with a measured value, if there is one; `what` is the key of `std`.
@@ -116,7 +176,8 @@ def effector_row(
             "not measured."
         )
     measured, stds = np.full(n_values, value, float), np.full(n_values, stds, float)
-    return EffectorRow(name, quantity, unit, measured, stds, **carriers)
+    record = EffectorRecord.of(name, quantity, unit, measured, stds, reference)
+    return EffectorRow(record, **carriers)
 
 
 Readings = Float[HostArray, "k 3"]
@@ -164,62 +225,6 @@ class AbstractScalar(AbstractEffector):
         return 1
 
 
-class EffectorRecord(Module):
-    """Up to three coordinates of an effector; results fill in simulated values.
-
-    A frame has two records, one of its point and one of its turn.
-
-    Attributes:
-        index: Index of their row in `EffectorArrays`.
-        measured: Measured values, or goals; NaN for a coordinate that was not measured.
-            A turn is counted from the measured one.
-        std: Their standard deviation; infinite for a coordinate that was not measured.
-        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
-        at_rest: Of a point, its position on the undeformed robot [m]; otherwise NaN.
-        simulated_before: Simulated values with the start parameters; NaN without
-            an equilibrium, and where nothing was calibrated.
-        simulated: Simulated values of the result; NaN without an equilibrium.
-    """
-
-    name: str
-    quantity: Quantity
-    unit: str
-    index: int
-    measured: Float[HostArray, " k"]
-    std: Float[HostArray, " k"]
-    reference: Float[HostArray, "3 3"]
-    at_rest: Float[HostArray, " k"]
-    simulated_before: Float[HostArray, " k"]
-    simulated: Float[HostArray, " k"]
-
-    @property
-    def is_turn(self) -> bool:
-        return self.quantity == "turn"
-
-    @property
-    def seen(self) -> Bool[HostArray, " k"]:
-        """Which coordinates were measured."""
-        return np.isfinite(self.std)
-
-    @property
-    def residual(self) -> Float[HostArray, " k"]:
-        """Simulated minus measured values; NaN where not measured."""
-        return self.error(self.simulated)
-
-    def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
-        """Subtract the measured from the given values; NaN where not measured."""
-        return np.where(self.seen, values - self.measured, np.nan)
-
-    def distance(self, values: Float[HostArray, " k"]) -> float:
-        """Return the length of the error, along what was measured; NaN without any."""
-        error = self.error(values)[self.seen]
-        return float(np.linalg.norm(error)) if error.size else math.nan
-
-    def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
-        """Pick its coordinates among those of all rows of a configuration."""
-        return np.asarray(rows)[self.index, : len(self.std)].copy()
-
-
 def rms_distance(
     records: Iterable[EffectorRecord],
     values: Callable[[EffectorRecord], Float[HostArray, " k"]],
@@ -263,7 +268,7 @@ def stack_effectors(
 
     The `points` are all nodes at rest [m].
     """
-    number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
+    number = lambda lane, kind: sum(row.record.quantity == kind for row in lane)
     ends = [0]
     for quantity in ("point", "turn"):
         ends.append(ends[-1] + max(number(lane, quantity) for lane in lanes))
@@ -271,7 +276,7 @@ def stack_effectors(
     # A function has the same row in all lanes, as it is part of their program.
     observed = tuple(dict.fromkeys(o for o in (r.observed for r in rows) if o))
     widest = max((row.nodes.size for row in rows), default=0)
-    movable = tuple(dict.fromkeys(row.name for row in rows if row.slopes.size))
+    movable = tuple(dict.fromkeys(r.record.name for r in rows if r.slopes.size))
     stack = partial(_stack, points, ends, widest, movable, observed)
     return [stack(lane) for lane in lanes]
 
@@ -292,19 +297,23 @@ def _stack(
     body, reference = np.zeros(total, np.int32), np.tile(np.eye(3), (total, 1, 1))
     measured, inverse_std = np.zeros((2, total, 3))
     for row in lane:
+        record, n = row.record, row.record.n_values
         if row.observed is None:
-            i = next(following[row.quantity])
+            i = next(following[record.quantity])
         else:
             i = ends[2] + observed.index(row.observed)
         nodes[i, : row.nodes.size] = row.nodes
         weights[i, : row.weights.size] = row.weights
         if row.slopes.size:
             slopes[i, : len(row.slopes)] = row.slopes
-            which[i] = movable.index(row.name)
-        body[i], reference[i] = row.body, row.reference
-        measured[i, : row.n_values] = np.nan_to_num(row.measured)
-        inverse_std[i, : row.n_values] = 1.0 / row.std
-        records.append(row.record(i, points))
+            which[i] = movable.index(record.name)
+        body[i], reference[i] = row.body, record.reference
+        measured[i, :n] = np.nan_to_num(record.measured)
+        inverse_std[i, :n] = 1.0 / record.std
+        if record.quantity == "point":
+            record = replace(record, at_rest=row.weights @ points[row.nodes])
+        known = np.where(record.seen, record.measured, np.nan)
+        records.append(replace(record, index=i, measured=known))
     of_points, turns = slice(ends[1]), slice(*ends[1:])
     arrays = EffectorArrays(
         nodes=nodes[of_points],

@@ -11,7 +11,7 @@ from softcal_jax._text import check_unique, parse_axes
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats, three_numbers
-from softcal_jax.configurations._effector import EffectorRow, Unstated
+from softcal_jax.configurations._effector import EffectorRecord, EffectorRow, Unstated
 from softcal_jax.mesh import TetMesh, locate, volumes
 
 _LENGTH = key("m", size="not negative")
@@ -102,7 +102,7 @@ class Markers(Module):
             values, stds = np.full_like(stds, np.nan), np.full_like(stds, np.inf)
         of_each = self.names, values, stds, _carriers(mesh, self)
         return [
-            EffectorRow(name, "point", "m", value, std, *carriers)
+            EffectorRow(EffectorRecord.of(name, "point", "m", value, std), *carriers)
             for name, value, std, carriers in zip(*of_each, strict=True)
         ]
 

@@ -25,7 +25,6 @@ from softcal_jax.control._result import (
     OUTCOMES as OUTCOMES,
     Attempt as Attempt,
     BlindDirection as BlindDirection,
-    GoalFit as GoalFit,
     InverseResult as InverseResult,
     StepRecord as StepRecord,
     TrajectoryResult as TrajectoryResult,

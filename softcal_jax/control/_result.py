@@ -36,37 +36,6 @@ class OUTCOMES(eqx.Enumeration):
     )
 
 
-class GoalFit(Module):
-    """How close one effector came to its goal.
-
-    Attributes:
-        effector: Its record, with the goal in `measured` and the value reached in
-            `simulated`. A frame has one for its point [m] and one for its turn [rad].
-    """
-
-    effector: EffectorRecord
-
-    @property
-    def name(self) -> str:
-        """Name of the effector."""
-        return self.effector.name
-
-    @property
-    def reached(self) -> Float[HostArray, " k"]:
-        """Coordinates reached; for a turn, the rotation vector from the goal."""
-        return self.effector.simulated
-
-    @property
-    def residual(self) -> Float[HostArray, " k"]:
-        """Reached minus goal, 0 for coordinates without a goal."""
-        return np.where(self.effector.seen, self.effector.residual, 0.0)
-
-    @property
-    def in_std(self) -> Float[HostArray, " k"]:
-        """The residual in units of the standard deviation [-]."""
-        return self.residual / self.effector.std
-
-
 def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
     """Name the coordinates of an effector: axes, or nothing for a scalar."""
     if len(effector.std) == 1:
@@ -149,7 +118,8 @@ class InverseResult(Result):
         outcome: How the search ended.
         configuration: The configuration with the actuation found.
         solution: Its equilibrium.
-        goals: How close each effector with a goal came to it.
+        goals: The effectors that have a goal, which is their measured value, and what
+            they reach as the simulated one. Of a frame, its point [m] and turn [rad].
         actuators: What all actuators do; commanded are those in the actuation.
         active_limits: Limits that are reached, in words.
         held_by: Limits that keep the effectors from goals that are not met, in words,
@@ -165,7 +135,7 @@ class InverseResult(Result):
     outcome: OUTCOMES
     configuration: Configuration
     solution: EquilibriumSolution
-    goals: tuple[GoalFit, ...]
+    goals: tuple[EffectorRecord, ...]
     actuators: tuple[ActuatorState, ...]
     active_limits: tuple[str, ...]
     held_by: tuple[str, ...]
@@ -181,11 +151,10 @@ class InverseResult(Result):
         return bool(self.outcome == OUTCOMES.met)
 
     @property
-    def unmet(self) -> tuple[GoalFit, ...]:
+    def unmet(self) -> tuple[EffectorRecord, ...]:
         """Goals that are not met, the farthest first, in standard deviations."""
-        error = lambda fit: np.max(np.abs(fit.in_std), initial=0.0)
-        missed = [fit for fit in self.goals if not error(fit) <= self.tol]
-        return tuple(sorted(missed, key=error, reverse=True))
+        missed = [goal for goal in self.goals if not goal.worst <= self.tol]
+        return tuple(sorted(missed, key=lambda goal: goal.worst, reverse=True))
 
     @property
     def forces(self) -> dict[str, float]:

@@ -21,7 +21,6 @@ from softcal_jax.control._result import (
     OUTCOMES,
     Attempt,
     BlindDirection,
-    GoalFit,
     InverseResult,
     TrajectoryResult,
     coordinate_names,
@@ -199,7 +198,7 @@ def _result(best: Descent, attempts: tuple[Attempt, ...]) -> InverseResult:
     reached = np.asarray(here.effectors)[0]
     # Every effector that has a goal is compared with it; frames have two rows.
     goals = tuple(
-        GoalFit(replace(effector, simulated=effector.among(reached)))
+        replace(effector, simulated=effector.among(reached))
         for effector in robot.records
         if effector.seen.any()
     )

@@ -24,7 +24,7 @@ from softcal_jax.calibration import (
     number_of_starts,
 )
 from softcal_jax.configurations import Configuration
-from softcal_jax.control import GoalFit, Limits
+from softcal_jax.control import Limits
 from softcal_jax.designs._asked import check_goals, commands, within
 from softcal_jax.designs._foam import FoamTable
 from softcal_jax.designs._peaks import (
@@ -184,7 +184,10 @@ def design(
         linear = of_prints.linear.only(of_prints.linear.pose < n)
         fit = replace(of_prints, configurations=poses[:n], linear=linear)
         reached = over_specimens(design_goals(fit, printing), poses, n)
-        name, errors = "the design of least error as ordered", error_of(before)
+        name, errors = (
+            "the design of least error as ordered",
+            error_of([g.effector for g in before]),
+        )
         others = [Alternative(name, errors, expected_of(before), nominal)]
     # What holds a robust design is its prints.
     missed = not robust and any(not goal.met for goal in reached)
@@ -335,9 +338,7 @@ def _alternatives(
 def _alternative(name: str, fit: CalibrationResult) -> Alternative:
     if fit.interrupted:  # it would be compared unfairly
         raise KeyboardInterrupt
-    goals = tuple(
-        GoalFit(effector) for pose in fit.configurations for effector in aimed(pose)
-    )
+    goals = [effector for pose in fit.configurations for effector in aimed(pose)]
     return Alternative(name, error_of(goals), np.nan, fit)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
-from softcal_jax.control import GoalFit
+from softcal_jax.configurations import EffectorRecord
 from softcal_jax.designs._peaks import aimed
 from softcal_jax.designs._result import LEVEL, DesignGoal
 from softcal_jax.equilibrium import Model
@@ -151,7 +151,7 @@ def design_goals(
     draws = std * np.random.default_rng(0).standard_normal((DRAWS, len(std)))
     owners = _owners(result.space)
     return tuple(
-        _goal(pose, GoalFit(effector), std=std, draws=draws, owners=owners)
+        _goal(pose, effector, std=std, draws=draws, owners=owners)
         for pose in result.configurations
         for effector in aimed(pose)
     )
@@ -196,17 +196,17 @@ def _owners(space: ParameterSpace) -> tuple[str, ...]:
 
 def _goal(
     pose: ConfigurationResult,
-    fit: GoalFit,
+    effector: EffectorRecord,
     *,
     std: Float[HostArray, " n_p"],
     draws: Float[HostArray, "n_draws n_p"],
     owners: tuple[str, ...],
 ) -> DesignGoal:
     """Say what a goal comes to, by errors of parameters and random prints of them."""
-    effector, seen = fit.effector, fit.effector.seen
+    seen = effector.seen
     assert pose.W_ep is not None
     W = pose.W_ep[effector.index, : len(effector.std)][seen]
-    residual = fit.residual[seen]
+    residual = effector.residual[seen]
     errors = np.linalg.norm(residual + draws @ W.T, axis=1)
     tail = 0.5 * (1.0 - LEVEL)
     low, high = np.quantile(errors, [tail, 1.0 - tail])
@@ -219,7 +219,7 @@ def _goal(
     return DesignGoal(
         effector,
         configuration=pose.name,
-        met=bool(np.all(np.abs(fit.in_std) <= 1.0)),
+        met=effector.worst <= 1.0,
         expected=float(np.sqrt(residual @ residual + total)),
         expected_in_std=np.hypot(residual, np.linalg.norm(W * std, axis=1))
         / effector.std[seen],

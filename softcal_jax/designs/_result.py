@@ -8,8 +8,8 @@ import numpy as np
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, bounded_step
-from softcal_jax.configurations import Configuration
-from softcal_jax.control import GoalFit, strongest_limits
+from softcal_jax.configurations import Configuration, EffectorRecord
+from softcal_jax.control import strongest_limits
 from softcal_jax.designs._foam import FoamTable
 from softcal_jax.designs._peaks import Peak, limits_reached
 from softcal_jax.fields import ParameterSpace
@@ -18,10 +18,11 @@ LEVEL = 0.95
 """Share of the prints whose error lies in the interval of a goal [-]."""
 
 
-class DesignGoal(GoalFit):
+class DesignGoal(Module):
     """A goal of a design: how close it comes as ordered, and as it is printed.
 
     Attributes:
+        effector: The effector, with the goal in `measured`, and what is reached.
         configuration: The configuration of the goal.
         met: Whether every coordinate is within its tolerance, as ordered.
         expected: Root mean square of the error of prints, in the unit of the effector:
@@ -33,6 +34,7 @@ class DesignGoal(GoalFit):
         share: Its share of the variance [-].
     """
 
+    effector: EffectorRecord
     configuration: str
     met: bool
     expected: float
@@ -44,12 +46,17 @@ class DesignGoal(GoalFit):
     @property
     def label(self) -> str:
         """Name of the effector and of the configuration."""
-        return f"{self.name!r} in {self.configuration!r}"
+        return f"{self.effector.name!r} in {self.configuration!r}"
+
+    @property
+    def reached(self) -> Float[HostArray, " k"]:
+        """Coordinates reached as ordered; for a turn, counted from the goal."""
+        return self.effector.simulated
 
     @property
     def error(self) -> float:
         """Size of the error as ordered, in the unit of the effector."""
-        return float(np.linalg.norm(self.residual))
+        return self.effector.distance(self.effector.simulated)
 
 
 class Trade(Module):
@@ -128,14 +135,14 @@ class DesignResult(Result):
     @property
     def unmet(self) -> tuple[DesignGoal, ...]:
         """Goals that are missed, the farthest first, in their tolerances."""
-        worst = lambda goal: float(np.max(np.abs(goal.in_std), initial=0.0))
         missed = [goal for goal in self.goals if not goal.met]
+        worst = lambda goal: goal.effector.worst
         return tuple(sorted(missed, key=worst, reverse=True))
 
     @property
     def error(self) -> float:
         """Root mean square of the errors over all goals, in tolerances [-]."""
-        return error_of(self.goals)
+        return error_of([goal.effector for goal in self.goals])
 
     @property
     def expected(self) -> float:
@@ -154,10 +161,10 @@ def expected_of(goals: Sequence[DesignGoal]) -> float:
     return float(np.sqrt(squares / sum(goal.effector.seen.sum() for goal in goals)))
 
 
-def error_of(goals: tuple[GoalFit, ...]) -> float:
+def error_of(goals: Sequence[EffectorRecord]) -> float:
     """Return the root mean square of all errors, in tolerances [-]."""
-    parts: list[Float[HostArray, " k"]] = [g.in_std[g.effector.seen] for g in goals]
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    errors = np.concatenate([goal.in_std[goal.seen] for goal in goals])
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 ROOM = 1e-9  # largest distance from a limit that is reached, scaled [-]
@@ -230,7 +237,7 @@ def _rows(
         e, of_pose = goal.effector, W_ep[goal.configuration]
         assert of_pose is not None
         W.append((of_pose[e.index, : len(e.std)] / e.std[:, None])[e.seen])
-        r.append(goal.in_std[e.seen])
+        r.append(e.in_std[e.seen])
         of_goal += [k] * int(e.seen.sum())
     if result.space.likeness is not None:
         differences, A = map(np.asarray, result.space.likeness.rows(result.z))

@@ -9,7 +9,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from softcal_jax._tree import Section, Table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
 from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
@@ -21,11 +20,17 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import check_results_folder
 from softcal_jax.fields import ParameterSpace, exactly_known
 from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
-from softcal_jax.report import LoadedResult, load_result, text
+from softcal_jax.results import (
+    LoadedResult,
+    Section,
+    Table,
+    check_results_folder,
+    load_result,
+    text,
+)
 
 _ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
@@ -212,9 +217,9 @@ def _lines_of_both(
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
     # How far points move, then errors of three models: the calibrated one, that of the
     # program with the same values, and that of the program calibrated itself.
-    rows = []
+    rows, fitted = [], calibrated.column("rms_after_mm")
     for c in refitted.configurations:
-        errors = calibrated.errors[c.name], c.rms_before, c.rms_after
+        errors = fitted[c.name], c.rms_before, c.rms_after
         rows.append((c.name, c.role, c.motion, *errors))
     heads = "configuration | role | motion [m] | calibrated model [m]"
     heads += f" | {program}, same values [m] | {program}, own values [m]"

@@ -44,7 +44,7 @@ class AbstractExporter(ABC):
         description: The same in sentences, for the help of the format.
         cannot_hold: What of a model is refused, in a sentence.
         output: Placeholder and meaning of `--output`: "DIR" stands for a folder of
-            results, which `results_folder` of `softcal_jax.export` makes, anything
+            results, which `results_folder` of `softcal_jax.results` makes, anything
             else for a file.
         next_step: What to do with the files, in a sentence; empty if that is plain.
         takes_projects: Whether a project file may stand for results, with its start

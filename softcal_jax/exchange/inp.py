@@ -17,7 +17,7 @@ from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._formats import check_no_bodies, check_rim
 from softcal_jax.mesh import TetMesh, face_indices, tet_faces
-from softcal_jax.report import LoadedResult, load_result
+from softcal_jax.results import LoadedResult, load_result
 
 NO_TERM = 1e20
 """D_i of an absent term [1/Pa]: CalculiX replaces 0 by a number of its own."""

@@ -19,9 +19,8 @@ from softcal_jax.calibration import CalibrationResult, Watch
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange._formats import ExportedPose
-from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.materials import AbstractLaw, StVenantKirchhoff
-from softcal_jax.report import LoadedResult
+from softcal_jax.results import LoadedResult, file_stems, results_folder, write_json
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}
 """With the one integrator that is implicit in the stiffness of a flex."""

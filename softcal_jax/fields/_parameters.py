@@ -72,7 +72,7 @@ def find_field(model: Any, field: str):
     Raises:
         ValueError: If no field has that name, or more than one.
     """
-    paths = [path for path, _ in constants_of(model)]
+    paths = [path for path, _, _ in constants_of(model)]
     named = [path for path in paths if ("." + path).endswith("." + field)]
     named = [field] if field in named else named
     if len(named) != 1:
@@ -83,17 +83,23 @@ def find_field(model: Any, field: str):
     return _Accessor(named[0])
 
 
-def constants_of(model: Any) -> Iterator[tuple[str, ConstantKind]]:
-    """List paths and kinds of the constants of a model: of its law, and its density."""
-    for path, _, declared in fields_of_tets(model.law):
+def constants_of(model: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+    """Yield the constants of a model, of its law and its density, see `constant`.
+
+    Each has its path in the model, like "law.fibre.theta", its value, one or one per
+    tet, and its declaration.
+    """
+    for path, leaf, declared in fields_of_tets(model.law):
         if "[" not in path:  # of a tuple, like the local axes of a fibre
-            yield "law" + path, declared.get("kind", UNREMARKABLE)
-    yield "density", DENSITY["kind"]
+            yield "law" + path, leaf, declared
+    yield "density", model.density, DENSITY
 
 
 def kind_of(model: Any, field: str) -> ConstantKind:
     """Return the kind of a field that `find_field` finds."""
-    return dict(constants_of(model))[find_field(model, field).path]
+    where = find_field(model, field).path
+    declared = next(of for path, _, of in constants_of(model) if path == where)
+    return declared.get("kind", UNREMARKABLE)
 
 
 @dataclass(frozen=True)

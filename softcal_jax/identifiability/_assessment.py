@@ -201,7 +201,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
 def _held(result: CalibrationResult) -> tuple[str, ...]:
     """Name the constants that are held fixed and that the data say nothing of."""
     linear = result.linear.of_fit()
-    constants = {path.rpartition(".")[2] for path, _ in constants_of(result.model)}
+    constants = {path.rpartition(".")[2] for path, *_ in constants_of(result.model)}
     std = np.sqrt(np.diag(linear.considered_covariance()))
     left = zip(linear.considered.names, std, strict=True)
     return tuple(name for name, share in left if name in constants and share >= UNSEEN)

@@ -1,6 +1,7 @@
 """Direction of a fibre in the rest shape, one for the body or one per tet."""
 
-from typing import Literal, get_args
+from types import ModuleType
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +16,6 @@ from softcal_jax.materials._constants import (
     Constant,
     as_components,
     as_field,
-    as_matrix,
     check_constants,
     constant,
 )
@@ -95,16 +95,23 @@ class Fibre(Module):
 
     def direction(self) -> Float[Array, "3 ..."]:
         """Unit vector u along the fibre [-], for each tet where it differs."""
+        return self._direction(jnp)
+
+    def of_tets(self, n_tets: int) -> Float[HostArray, "n_tets 3"]:
+        """Compute `direction` of each tet by NumPy, so that nothing is compiled [-]."""
+        return np.broadcast_to(np.transpose(self._direction(np)), (n_tets, 3))
+
+    def _direction(self, xp: ModuleType) -> Any:
         a, b = ("xyz".index(letter) for letter in self.plane)
         parts = {
-            a: jnp.cos(self.phi) * jnp.cos(self.theta),
-            b: jnp.cos(self.phi) * jnp.sin(self.theta),
-            3 - a - b: jnp.sin(self.phi) * jnp.ones_like(self.theta),
+            a: xp.cos(self.phi) * xp.cos(self.theta),
+            b: xp.cos(self.phi) * xp.sin(self.theta),
+            3 - a - b: xp.sin(self.phi) * xp.ones_like(self.theta),
         }
         x, y, z = (parts[axis] for axis in range(3))
         if self.frame is None:
-            return jnp.stack([x, y, z])
-        axes = as_matrix(self.frame)
+            return xp.stack([x, y, z])
+        axes = xp.stack(self.frame).reshape(3, 3, *np.shape(self.frame[0]))
         return x * axes[0] + y * axes[1] + z * axes[2]
 
     def mirrored(self) -> "Fibre":

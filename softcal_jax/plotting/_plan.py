@@ -18,7 +18,6 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import Model, RobotState, actuator_states
-from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import Axes, PictureStyle, symbol
@@ -53,10 +52,11 @@ def plot_plan(
     have the same camera. Control points are numbered from 1 [m]. A point that was
     measured far away, see `farthest`, is left out. Needs no OpenGL.
     """
-    mesh, fibres = model.mesh, next(iter(fibre_directions(model).values()), None)
-    stiffness = getattr(model.law, "E_f", None)
-    if fibres is not None and stiffness is not None:  # none to see where it is zero
-        fibres = fibres * (np.broadcast_to(stiffness, len(fibres)) > 0.0)[:, None]
+    mesh, fibres = model.mesh, None
+    if families := model.law.fibres():
+        stiffness = np.asarray(getattr(model.law, "E_f", 1.0))
+        # None is seen where the fibre has no stiffness.
+        fibres = families[0].of_tets(mesh.n_tets) * (stiffness > 0.0)[..., None]
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism)
     markers = [[p for p in rows if p.quantity == "point"] for rows in lanes.effectors]

@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import field_units, tet_fields
+from softcal_jax.fields import constants_of
 from softcal_jax.mesh import volumes
 from softcal_jax.project._table import WrongKeyError
 
@@ -67,8 +67,8 @@ def check_bearable(model: Model, posed: Mapping[str, Configuration]) -> None:
 
 def _moduli(model: Model) -> list[float]:
     """Return the largest value of each modulus [Pa]."""
-    units, fields = field_units(model), tet_fields(model, {})
-    moduli = [float(np.abs(fields[k]).max()) for k in units if units[k] == "Pa"]
+    of_unit = [leaf for _, leaf, of in constants_of(model) if of.get("unit") == "Pa"]
+    moduli = [float(np.abs(leaf).max()) for leaf in of_unit]
     return [modulus for modulus in moduli if modulus > 0.0]
 
 

@@ -274,7 +274,7 @@ class EffectorTable(Maker):
         given = self.arguments()
         std = given.pop("std")
         effector: Any = self.makes(name, **given)
-        unit = effector.rows(mesh, mechanism)[0].unit
+        unit = effector.rows(mesh, mechanism)[0].record.unit
         if not isinstance(std, str):
             return effector
         with under("std"):
@@ -282,7 +282,7 @@ class EffectorTable(Maker):
 
     def measured(self, effector: Any, value: Any, model: Model) -> AbstractEffector:
         """Return the effector with its measured value."""
-        row = effector.rows(model.mesh, model.mechanism)[0]
+        row = effector.rows(model.mesh, model.mechanism)[0].record
         dimension = dimension_of(row.unit)
         if isinstance(value, MotionSource):
             raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')

@@ -17,7 +17,6 @@ from softcal_jax._places import PLANNED, TRIALS
 from softcal_jax._text import check_known
 from softcal_jax._units import is_number
 from softcal_jax.calibration import SourceFile
-from softcal_jax.export import Made
 from softcal_jax.project import (
     Project,
     ProjectError,
@@ -79,7 +78,8 @@ class Sweep:
         seed: Seed of noise, starts and sample.
         definitions: What rows depend on besides their points, by name.
         file: The sweep file, as it was when it was read.
-        made: Model, settings and files of the project, before an axis changes them.
+        project: The project, before an axis changes it.
+        settings: Those of its calibrations, by name.
     """
 
     name: str
@@ -89,7 +89,8 @@ class Sweep:
     seed: int
     definitions: Mapping[str, str]
     file: SourceFile
-    made: Made
+    project: Project
+    settings: Mapping[str, Any]
 
     @property
     def folder(self) -> Path:
@@ -188,7 +189,8 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         seed=seed,
         definitions=definitions,
         file=SourceFile.of(path),
-        made=Made(project.model, settings, project.source),
+        project=project,
+        settings=settings,
     )
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from softcal_jax import _notebook
+from softcal_jax._files import write_rows
 from softcal_jax._text import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import is_number
-from softcal_jax.export import write_rows
 from softcal_jax.plotting import COLUMN, PictureStyle, draw_trials, plot_panels
 from softcal_jax.project import parse_in_si
 from softcal_jax.sweeps._trial import COLUMNS

@@ -48,6 +48,7 @@ from softcal_jax.fields import (
     region_tets,
 )
 from softcal_jax.inference import ErrorColumns
+from softcal_jax.materials import UNREMARKABLE
 from softcal_jax.mesh import TetMesh, boundary_faces, straightened
 from softcal_jax.sensitivity import (
     clamp_row,
@@ -163,11 +164,11 @@ def _where(scope: Scope, flags: Bool[HostArray, " n_c"]) -> Scope:
 def _of_fields(problem: Problem) -> Iterator[Unknown]:
     """List errors of constants that have one, see `ConstantKind`."""
     model, arrays = problem.model, problem.configurations
-    for path, kind in constants_of(model):
+    for path, leaf, declared in constants_of(model):
+        kind = declared.get("kind", UNREMARKABLE)
         if not kind.uncertain:
             continue
-        name = path.rpartition(".")[2]
-        value = np.asarray(find_field(model, path)(model))
+        name, value = path.rpartition(".")[2], np.asarray(leaf)
         share = _share_not_fitted(problem, path)
         room = 0.5 * (kind.most - float(np.max(value)))
         std = min(getattr(problem.uncertain, kind.uncertain), room)

@@ -28,7 +28,7 @@ from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import assess, identify
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.report import held_out_sentences
+from softcal_jax.results import held_out_sentences
 from softcal_jax.robots import simulated_measurements
 from softcal_jax.unknowns import read_once
 

@@ -34,8 +34,8 @@ from softcal_jax.equilibrium import (
     linearise,
     sensitivity,
 )
-from softcal_jax.export import result_dict
 from softcal_jax.fields import exactly_known
+from softcal_jax.results import result_dict
 from softcal_jax.sensitivity import parameter_rows
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)

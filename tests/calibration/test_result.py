@@ -21,9 +21,9 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import LackOfFit, Uncertainty
 from softcal_jax.plotting import draw_errors
 from softcal_jax.plotting._configuration import motion_words
-from softcal_jax.report import held_out_sentences
-from softcal_jax.report._html import chart_html
-from softcal_jax.report._poses import error_charts
+from softcal_jax.results import held_out_sentences
+from softcal_jax.results._html import chart_html
+from softcal_jax.results._poses import error_charts
 from softcal_jax.sensitivity import Response
 from softcal_jax.sweeps._calibration import HELD_OUT, _figures
 

@@ -112,7 +112,8 @@ def test_points_at_rest(lanes):
 
 
 def test_defaults_of_a_row_are_not_written_into_all_rows():
-    row, other = (effector_row("one", "scalar", "N", None, 1.0) for _ in range(2))
+    rows = (effector_row("one", "scalar", "N", None, 1.0) for _ in range(2))
+    row, other = (row.record for row in rows)
     with pytest.raises(ValueError, match="read-only"):
         row.reference[...] = 1.0
     row.measured[...] = row.std[...] = 1.0

@@ -35,7 +35,6 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
-from softcal_jax.export import write_vtu
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import (
     TetMesh,
@@ -46,6 +45,7 @@ from softcal_jax.mesh import (
     face_indices,
     self_contact,
 )
+from softcal_jax.results import write_vtu
 
 E, NU, SIDE, SCALE = 1e5, 0.3, 0.02, 1e-5
 LAW = Corotational(Isotropic(E, NU))

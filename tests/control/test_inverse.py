@@ -18,14 +18,13 @@ from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     ControlWarning,
-    GoalFit,
     InverseResult,
     Limits,
     follow_trajectory,
     solve_inverse,
 )
-from softcal_jax.export import headline, off_words
-from softcal_jax.report._sections import goal_table
+from softcal_jax.results import headline
+from softcal_jax.results._goals import goal_table, off_words
 
 FINE = ControlSettings(tol=1e-6)
 FEW = ControlSettings(other_starts=3)
@@ -60,7 +59,7 @@ def test_reachable_goal_is_met_and_its_actuation_found():
     assert result.met
     np.testing.assert_allclose(result.inputs, [1.5, 0.4], rtol=1e-5)
     np.testing.assert_allclose(result.forces["top"], result.inputs[0])
-    np.testing.assert_allclose(result.goals[0].reached, goal, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.goals[0].simulated, goal, rtol=0, atol=1e-9)
     assert result.active_limits == ()
     assert len(result.steps) <= 8
     # The configuration found is one that a user can simulate again.
@@ -108,7 +107,7 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     inputs = np.stack(np.meshgrid(top, motor), axis=-1).reshape(-1, 2)
     distance = lambda tip: np.linalg.norm(tip - np.array(goal), axis=-1)
     off = distance(tips(start, inputs))
-    nearest = distance(result.goals[0].reached)
+    nearest = distance(result.goals[0].simulated)
     np.testing.assert_allclose(nearest, np.linalg.norm(result.goals[0].residual))
     assert 1e-3 < nearest <= off.min() + 1e-12
     # And the grid is fine enough to see the same minimum.
@@ -198,7 +197,7 @@ def test_epsilon_ends_co_contraction():
     check(frugal)
     assert frugal.met
     assert 0.0 <= frugal.inputs[1] < 1e-9
-    np.testing.assert_allclose(frugal.goals[0].reached[0], 0.25, atol=1e-4)
+    np.testing.assert_allclose(frugal.goals[0].simulated[0], 0.25, atol=1e-4)
 
 
 def test_trajectory_starts_where_it_was():
@@ -271,10 +270,11 @@ def test_search_that_does_not_end_says_so():
 def test_a_start_without_equilibrium_reaches_nothing():
     """Its goals are not met, and their distance is unknown, not nan or 0."""
     (point, _) = make_fit(small_model().mesh).points
-    fit = GoalFit(replace(point, simulated=np.full(3, np.nan)))
-    assert InverseResult.unmet.fget(SimpleNamespace(goals=(fit,), tol=0.01)) == (fit,)
-    assert off_words(fit) == "x unknown, y unknown, z unknown"
-    table = str(goal_table([fit]).rows())
+    goal = replace(point, simulated=np.full(3, np.nan))
+    inverse = SimpleNamespace(goals=(goal,), tol=0.01)
+    assert InverseResult.unmet.fget(inverse) == (goal,)
+    assert off_words(goal) == "x unknown, y unknown, z unknown"
+    table = str(goal_table([goal]).rows())
     assert "unknown" in table
     assert "nan" not in table
 

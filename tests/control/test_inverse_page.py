@@ -10,12 +10,12 @@ from test_page import Read, check_page, number
 from wording import says
 
 from softcal_jax.control import ControlSettings, Limits, TrajectoryResult, solve_inverse
-from softcal_jax.report import _write, notebook_html, write_results
+from softcal_jax.results import _write, notebook_html, write_results
 
 FACTOR = {"N": 1.0, "mN": 1e-3, "mm": 1e-3, "N mm": 1e-3, "N m": 1.0}
 FACTOR |= {"deg": np.pi / 180.0, "m": 1.0}
 
-pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::softcal_jax.results.PictureWarning")
 
 
 @pytest.fixture(autouse=True)

@@ -59,8 +59,8 @@ def test_an_observation_is_brought_to_its_goal():
     )
     assert result.met
     np.testing.assert_allclose(result.inputs, [TENSION], rtol=1e-5)
-    (fit,) = result.goals
-    np.testing.assert_allclose(fit.reached, goal, rtol=0, atol=1e-8)
+    (reached,) = result.goals
+    np.testing.assert_allclose(reached.simulated, goal, rtol=0, atol=1e-8)
 
 
 def tip(model, configuration, state):

@@ -28,9 +28,9 @@ from softcal_jax.control import (
     solve_inverse,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
-from softcal_jax.export import headline
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
+from softcal_jax.results import headline
 
 DIRECT, FEW = ControlSettings(other_starts=0), ControlSettings(other_starts=3)
 

@@ -30,7 +30,6 @@ from softcal_jax.designs import (
     published_foam,
 )
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
-from softcal_jax.export import headline
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
@@ -39,6 +38,7 @@ from softcal_jax.fields import (
 )
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
+from softcal_jax.results import headline
 
 LENGTH, SIDE = 0.1, 0.02
 MIDDLE = SIDE / 2
@@ -190,13 +190,13 @@ def test_two_goals_compete():
         for name, down in (("here", 0.004), ("there", 0.008))
     ]
     made = design(MODEL, moduli(), goals, starts=1)
-    offs = [float(goal.residual[2]) for goal in made.goals]
+    offs = [float(goal.effector.residual[2]) for goal in made.goals]
     assert offs == pytest.approx([-0.002, 0.002], rel=0.02)
     assert [trade.loss for trade in made.trades] == pytest.approx([1.0, 1.0], rel=0.05)
     assert says(str(made), "'end' in 'here' competes with 'end' in 'there'")
     # An error of one coordinate is a folded normal distribution.
     for goal in made.goals:
-        off = abs(float(goal.residual[2]))
+        off = abs(float(goal.effector.residual[2]))
         std = np.sqrt(goal.expected**2 - off**2)
         ends = foldnorm(off / std, scale=std).ppf([0.025, 0.975])
         np.testing.assert_allclose(goal.interval, ends, rtol=0.1)
@@ -220,7 +220,7 @@ def test_a_change_that_costs(wanted, made):
         e = goal.effector
         rows = poses[goal.configuration].W_ep[e.index, : len(e.std)][e.seen]
         W.append(rows / TOLERANCE)
-        r.append(goal.residual[e.seen] / TOLERANCE)
+        r.append(goal.effector.residual[e.seen] / TOLERANCE)
     W, r = np.concatenate(W), np.concatenate(r)
     slope = W.T @ r + np.asarray(A).T @ np.asarray(d)
     assert np.all(np.abs(slope) < 1e-2 * (np.abs(W).T @ np.abs(r)))

@@ -82,7 +82,7 @@ def test_a_design_keeps_a_stretch(wanted, limit, monkeypatch):  # noqa: F811
         assert peak.kept
     # The limit is reached, and as good as used up.
     assert 0.85 * (limit - 1.0) < max(peaks) - 1.0 <= limit - 1.0
-    assert [goal.name for goal in made.goals] == ["half", "end"] * 2
+    assert [goal.effector.name for goal in made.goals] == ["half", "end"] * 2
     if not made.met:
         assert limit == 1.003
         assert says(made.held_by, "the largest stretch in 'much'")

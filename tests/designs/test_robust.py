@@ -16,10 +16,10 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration, Markers, SurfaceForce
 from softcal_jax.designs import Printing, design, specimens
 from softcal_jax.equilibrium import build_model
-from softcal_jax.export import headline
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
+from softcal_jax.results import headline
 from softcal_jax.robots import synthetic_measurements
 
 LENGTH, SIDE, ANGLE = 0.1, 0.01, np.deg2rad(20.0)

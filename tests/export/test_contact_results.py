@@ -12,13 +12,14 @@ from obstacle_results import FORCE, beside_obstacles, pressed
 from rich.console import Console
 
 from softcal_jax.calibration import SimulationResult
-from softcal_jax.export import (
+from softcal_jax.results import (
+    console as drawn,
     result_dict,
+    sections,
     write_csv,
     write_robot_vtu,
 )
-from softcal_jax.report import console as drawn, sections
-from softcal_jax.report._poses import robot_tables
+from softcal_jax.results._poses import csv_tables, robot_tables
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,8 @@ def test_bodies_that_are_absent_fill_no_table(model):
 
 
 def test_csv_has_a_line_per_value(model, tmp_path):
-    write_csv(tmp_path, [pressed(model), pressed(model, name="off", present=())])
+    poses = [pressed(model), pressed(model, name="off", present=())]
+    write_csv(tmp_path / "robot.csv", csv_tables(poses)["robot.csv"])
     with (tmp_path / "robot.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["part"] == "contact"]
     assert {row["configuration"] for row in rows} == {"a"}
@@ -62,7 +64,8 @@ def test_csv_calls_surfaces_that_touch_no_obstacle(model, tmp_path):
     fit = pressed(model)
     probe, table = fit.robot.contacts
     contacts = (probe, replace(table, name="low on high"))
-    write_csv(tmp_path, [replace(fit, robot=replace(fit.robot, contacts=contacts))])
+    touching = replace(fit, robot=replace(fit.robot, contacts=contacts))
+    write_csv(tmp_path / "robot.csv", csv_tables([touching])["robot.csv"])
     with (tmp_path / "robot.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["part"] == "contact"]
     of = {row["name"]: row["what"] for row in rows}

@@ -4,11 +4,17 @@ import dataclasses
 import pytest
 from export.handmade import make_fit, make_result, small_model, with_points
 
-from softcal_jax.export import write_csv, write_json
+from softcal_jax.results import write_csv, write_json
+from softcal_jax.results._poses import csv_tables
+
+
+def written(folder, configurations):
+    for name, table in csv_tables(configurations).items():
+        write_csv(folder / name, table)
 
 
 def test_one_line_per_marker_and_configuration(tmp_path):
-    write_csv(tmp_path, make_result().configurations)
+    written(tmp_path, make_result().configurations)
     with (tmp_path / "markers.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(r["configuration"], r["role"], r["marker"]) for r in rows] == [
@@ -27,7 +33,7 @@ def test_one_line_per_marker_and_configuration(tmp_path):
 
 def test_what_was_not_measured_is_empty(tmp_path):
     fit = make_fit(small_model().mesh, error=(0.0, 0.0, 0.0), axes="yz")
-    write_csv(tmp_path, [fit])
+    written(tmp_path, [fit])
     with (tmp_path / "markers.csv").open(newline="") as file:
         row = next(csv.DictReader(file))
     assert row["measured_x_mm"] == row["residual_x_mm"] == ""
@@ -40,7 +46,7 @@ def test_no_name_is_a_formula_for_a_spreadsheet(tmp_path):
     (fit,) = make_result().configurations[:1]
     fit = dataclasses.replace(fit, name="=cmd|' /C calc'!A0")
     fit = with_points(fit, simulated=lambda p: -p.measured)
-    write_csv(tmp_path, [fit])
+    written(tmp_path, [fit])
     with (tmp_path / "markers.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {r["configuration"] for r in rows} == {"'=cmd|' /C calc'!A0"}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal_jax.export import check_results_folder, complete_results, results_folder
+from softcal_jax.results import check_results_folder, complete_results, results_folder
 
 LIST = ".softcal-files"
 

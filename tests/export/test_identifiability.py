@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from export.handmade import axis_space, make_ranking, make_result, replaced
 
-from softcal_jax.export import result_dict
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
+from softcal_jax.results import result_dict
 
 
 def half_blind():
@@ -73,7 +73,7 @@ def test_in_the_result_of_a_calibration(estimated, used):
 
 def test_outlook():
     data = result_dict(
-        half_blind(), ranking=make_ranking(), name="beam", timing_s={"a": 1.0}
+        half_blind(), known=make_ranking(), name="beam", timing_s={"a": 1.0}
     )
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     made = ["source", "settings", "versions"]

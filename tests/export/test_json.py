@@ -15,8 +15,8 @@ from wording import says
 
 from softcal_jax.calibration import LeftOut, ParameterInterval, ResidualChecks
 from softcal_jax.equilibrium import RESULTS
-from softcal_jax.export import result_dict
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
+from softcal_jax.results import result_dict
 from softcal_jax.unknowns import Attachments, CorrelatedNoise
 
 

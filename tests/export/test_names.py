@@ -1,6 +1,6 @@
 import re
 
-from softcal_jax.export import file_stems
+from softcal_jax.results import file_stems
 
 
 def test_plain_names_stay():

@@ -10,12 +10,6 @@ from export.handmade import sag, small_model, two_elasticities
 from obstacle_results import beside_obstacles, pressed
 
 from softcal_jax.equilibrium import build_model, energy_and_force
-from softcal_jax.export import (
-    read_displacement,
-    write_pvd,
-    write_robot_vtu,
-    write_vtu,
-)
 from softcal_jax.materials import (
     Corotational,
     Fibre,
@@ -24,6 +18,12 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
 )
 from softcal_jax.mesh import beam, volumes
+from softcal_jax.results import (
+    read_displacement,
+    write_pvd,
+    write_robot_vtu,
+    write_vtu,
+)
 
 
 @pytest.fixture(scope="module", params=[1, 2])

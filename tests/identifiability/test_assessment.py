@@ -22,7 +22,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause, ErrorColumns
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.report import sections, text
+from softcal_jax.results import sections, text
 from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 

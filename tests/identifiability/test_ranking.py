@@ -23,13 +23,13 @@ from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, PointForce, Support
-from softcal_jax.export import headline
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import (
     identify as identify_with,
     proposals,
     rank_configurations as rank_with,
 )
+from softcal_jax.results import headline
 
 KNOWN = {"uncertain": exactly_known()}
 identify = partial(identify_with, **KNOWN)

@@ -6,9 +6,9 @@ import pytest
 from scipy.stats import chi2
 from wording import says
 
-from softcal_jax.export import headline
 from softcal_jax.fields import Parameter, ParameterSpace, load_factor
 from softcal_jax.inference import Estimate, difference
+from softcal_jax.results import headline
 
 
 def space(scale="log", start=1e5):

@@ -17,7 +17,6 @@ from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import build_problem, calibrate as calibrate_with
-from softcal_jax.export import headline
 from softcal_jax.fields import Parameter, ParameterSpace, as_space, exactly_known
 from softcal_jax.identifiability import identify
 from softcal_jax.layouts import (
@@ -27,6 +26,7 @@ from softcal_jax.layouts import (
     _compare,
     compare_layouts as compare_layouts_with,
 )
+from softcal_jax.results import headline
 from softcal_jax.robots import synthetic_measurements
 
 calibrate = partial(calibrate_with, starts=1, intervals=None)

@@ -11,7 +11,6 @@ from wording import says
 
 from softcal_jax.cli import main
 from softcal_jax.configurations import Markers
-from softcal_jax.export import headline, result_dict
 from softcal_jax.fields import Parameter
 from softcal_jax.layouts import (
     FoldScore,
@@ -21,6 +20,7 @@ from softcal_jax.layouts import (
     compare_laws,
 )
 from softcal_jax.project import ProjectError, compare_projects, load_project
+from softcal_jax.results import headline, result_dict
 
 POSES = ("a", "b", "c", "d", "e")
 ROOT = [4.0, 9.0, 1.0, 16.0, 2.0]

@@ -22,7 +22,7 @@ from softcal_jax.calibration._checkpoint import read_checkpoint, write_checkpoin
 from softcal_jax.exchange.camera import read_photo, tag_cells
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.readings import read_markers, read_recording
-from softcal_jax.report import ResultError, load_values
+from softcal_jax.results import ResultError, load_values
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
 
 
@@ -183,7 +183,7 @@ def test_a_result_that_is_nested_without_end(tmp_path):
 
 
 @number_of_examples(60, 3000)
-@pytest.mark.filterwarnings("ignore::softcal_jax.report.ResultWarning")
+@pytest.mark.filterwarnings("ignore::softcal_jax.results.ResultWarning")
 def test_any_value_in_a_result(tmp_path, n):
     path = tmp_path / "result.json"
 

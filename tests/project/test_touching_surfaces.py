@@ -8,7 +8,7 @@ from softcal_jax.configurations import configuration_arrays
 from softcal_jax.fields import KINDS
 from softcal_jax.mesh import TetMesh, beam, boundary_faces, write_mesh
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.report import write_results
+from softcal_jax.results import write_results
 
 STACK = """\
 name = "stack"

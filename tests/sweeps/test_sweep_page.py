@@ -8,7 +8,7 @@ from cheap import POINTS, measure
 from test_page import HOSTILE, Read, number
 from wording import says
 
-from softcal_jax.report import check_sweep_page, write_sweep
+from softcal_jax.results import check_sweep_page, write_sweep
 from softcal_jax.sweeps import Outcome, Range, read_sweep, run_sweep, sample
 
 

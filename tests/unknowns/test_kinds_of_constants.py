@@ -14,7 +14,6 @@ from softcal_jax.calibration._notes import warn_if_locking
 from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.designs import Printing
 from softcal_jax.equilibrium import build_model
-from softcal_jax.export import field_units
 from softcal_jax.fields import (
     FieldError,
     Parameter,
@@ -32,6 +31,7 @@ from softcal_jax.materials import (
     youngs_moduli,
 )
 from softcal_jax.mesh import beam
+from softcal_jax.results._vtu import field_units
 from softcal_jax.unknowns import Problem, unknowns
 
 

@@ -34,10 +34,15 @@ from softcal_jax.exchange.icesl._settings import (
     print_plane,
     sample,
 )
-from softcal_jax.export import plain, results_folder, write_json
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import Project
-from softcal_jax.report import LoadedResult, load_result
+from softcal_jax.results import (
+    LoadedResult,
+    load_result,
+    plain,
+    results_folder,
+    write_json,
+)
 
 SCRIPT, PART = "robot.lua", "robot.stl"
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"

@@ -28,7 +28,6 @@ from softcal_jax.exchange.proposal._recorded import (
     Stated,
     read_recorded,
 )
-from softcal_jax.export import results_folder
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import (
     MeshWarning,
@@ -38,7 +37,7 @@ from softcal_jax.mesh import (
     volumes,
 )
 from softcal_jax.project import ProjectWarning, load_project, toml_key, toml_value
-from softcal_jax.report import mesh_section, text
+from softcal_jax.results import results_folder, sections, text
 from softcal_jax.robots import ready_made_path
 
 DENSITY = 1070.0
@@ -103,7 +102,7 @@ def _mesh(findings: Findings) -> Iterator[str]:
     yield """element = "quadratic" # does not lock in bending; "linear" does
 """
     yield f"# {sides}. The mesh and its groups:"
-    lines = text([mesh_section(body.mesh)]).splitlines()
+    lines = text(sections(body.mesh)).splitlines()
     yield from (f"#   {line}" for line in lines[: _MOST_GROUPS + 1])
     if len(lines) > _MOST_GROUPS + 1:
         yield f"#   ... and {len(lines) - _MOST_GROUPS - 1} more: `softcal mesh`"

@@ -32,9 +32,14 @@ from softcal_jax.exchange.sofa._component import (
     component_of,
     law_for_sofa,
 )
-from softcal_jax.export import file_stems, plain, results_folder, write_json
 from softcal_jax.materials import SofaRotation
-from softcal_jax.report import LoadedResult
+from softcal_jax.results import (
+    LoadedResult,
+    file_stems,
+    plain,
+    results_folder,
+    write_json,
+)
 
 CONVERGED = 1e-9
 """Residual at which Newton of SOFA stops, relative to the nodal loads [-]."""

@@ -1,5 +1,7 @@
 """`softcal export` writes what installed packages register, too."""
 
+from types import SimpleNamespace
+
 import pytest
 from wording import says
 
@@ -74,19 +76,17 @@ def test_help_lists_what_is_installed(capsys):
     assert "parameters without a name." in text
 
 
-class Loaded:
-    """What the command needs of a result that is loaded."""
-
-    class project:
-        calibration, parameters, settings = (), (), None
-
-    values, outcome = {"E": 1.0, "nu": 0.3}, "take with care"
-    doubts = ("few data",)
+LOADED = SimpleNamespace(
+    project=SimpleNamespace(calibration=(), parameters=(), settings=None),
+    values={"E": 1.0, "nu": 0.3},
+    content={"assessment": {"reasons": ["few data"]}},
+)
+"""What the command needs of a result that is loaded."""
 
 
 @pytest.mark.usefixtures("names")
 def test_what_is_installed_writes(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("softcal_jax.report.load_result", lambda *a, **k: Loaded)
+    monkeypatch.setattr("softcal_jax.results.load_result", lambda *a, **k: LOADED)
     file = tmp_path / "names.txt"
     argv = ["export", "names", "results", "-o", str(file)]
     assert main([*argv, "--upper"]) == 2

@@ -11,7 +11,7 @@ from wording import says
 from benchmarks._mujoco import ROBOTS, exported, tip_at_rest
 from softcal_jax.cli import main
 from softcal_jax.project import load_project
-from softcal_jax.report import load_result, write_results
+from softcal_jax.results import load_result, write_results
 
 pytestmark = pytest.mark.slow
 

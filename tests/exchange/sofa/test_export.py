@@ -18,7 +18,7 @@ from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.cli import main
 from softcal_jax.exchange.sofa import NotConvergedError, export_sofa
 from softcal_jax.project import load_project
-from softcal_jax.report import _write, load_result, write_results
+from softcal_jax.results import _write, load_result, write_results
 
 pytestmark = pytest.mark.slow
 
@@ -114,7 +114,8 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
     hurried = dataclasses.replace(
         loaded.project, settings=CalibrationSettings(max_steps=1)
     )
-    loaded = dataclasses.replace(loaded, project=hurried, z=loaded.z + jnp.log(0.5))
+    halved = loaded.estimate._replace(z=loaded.z + jnp.log(0.5))
+    loaded = dataclasses.replace(loaded, project=hurried, estimate=halved)
     with pytest.raises(NotConvergedError, match=r"not converge .* 1 steps"):
         export_sofa(loaded, tmp_path / "scene", law="corotational")
     assert not (tmp_path / "scene").exists()

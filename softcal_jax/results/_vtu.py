@@ -13,8 +13,7 @@ from jaxtyping import ArrayLike
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
-from softcal_jax.fields import find_field
-from softcal_jax.materials import DENSITY, Fibre, fields_of_tets
+from softcal_jax.fields import constants_of, find_field
 from softcal_jax.mesh import boundary_tets, volumes
 
 STANDARD_ERROR = "_standard_error"
@@ -241,12 +240,10 @@ def field_units(model: Model) -> dict[str, str]:
 
 def _named(model: Model) -> Iterator[tuple[str, str, Any, Mapping[str, Any]]]:
     """Yield name, path in the model, values and declaration of density and fields."""
-    leaves: list[tuple[str, Any, Any]] = [("density", model.density, DENSITY)]
-    leaves += [("law" + path, leaf, of) for path, leaf, of in fields_of_tets(model.law)]
-    # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
-    leaves = [field for field in leaves if "[" not in field[0]]
-    shorts = [path.rpartition(".")[2] for path, *_ in leaves]
-    for short, field in zip(shorts, leaves, strict=True):
+    *of_law, density = constants_of(model)
+    constants = [density, *of_law]
+    shorts = [path.rpartition(".")[2] for path, *_ in constants]
+    for short, field in zip(shorts, constants, strict=True):
         # A law with two elasticities has two E: use the whole path as the name then.
         path = field[0] if short == "density" else field[0].removeprefix("law.")
         yield short if shorts.count(short) == 1 else path, *field
@@ -277,20 +274,6 @@ def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
 def fibre_directions(model: Model) -> dict[str, Float[HostArray, "n_tets 3"]]:
     """Return the directions of the fibres at rest, by family [-]."""
     return {
-        f"fibre_direction{f'_{k}' if k > 1 else ''}": _axes(fibre, model.n_tets)
+        f"fibre_direction{f'_{k}' if k > 1 else ''}": fibre.of_tets(model.n_tets)
         for k, fibre in enumerate(model.law.fibres(), start=1)
     }
-
-
-def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
-    """Compute `Fibre.direction` of each tet, by NumPy, so that nothing is compiled."""
-    per_tet = lambda value: np.broadcast_to(np.asarray(value), (n_tets,))
-    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
-    a, b = ("xyz".index(letter) for letter in fibre.plane)
-    axis = np.zeros((n_tets, 3))
-    axis[:, a], axis[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
-    axis[:, 3 - a - b] = np.sin(phi)
-    if fibre.frame is None:
-        return axis
-    rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
-    return np.einsum("ei,eij->ej", axis, rows.reshape(-1, 3, 3))

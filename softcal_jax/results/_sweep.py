@@ -1,22 +1,24 @@
-"""What a sweep found, and its page, beside its folder."""
+"""What a sweep found: means, best trials, what was varied, and each trial."""
 
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from softcal_jax._places import replacing
-from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import is_number, readable_values
-from softcal_jax.export import file_dict, made_dict
-from softcal_jax.report._html import REPEATED, closing, node, page
-from softcal_jax.sweeps import Sweep, SweepResult, figure_name, plot_sweep
+from softcal_jax.results._tree import (
+    Chart,
+    Column,
+    Section,
+    Table,
+    Tone,
+    Value,
+    verdict,
+)
+from softcal_jax.sweeps import SweepResult, figure_name, plot_sweep
 
-KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
 MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
 MOST_COLUMNS = 4  # figures in a table for the terminal
 MOST_BEST, MOST_VALUES = 5, 8  # most trials among the best, and most values of an axis
@@ -251,71 +253,16 @@ def _point(result: SweepResult, row: Row) -> str:
     return ", ".join(f"{axis} = {_shown(row[axis])}" for axis in result.axes)
 
 
-def sweep_page_of(folder: str | os.PathLike[str]) -> Path:
-    """Return where the page of a sweep is: beside its folder."""
-    folder = Path(folder)
-    folder = folder if folder.name else folder.absolute()
-    return folder.parent / f"{folder.name}_report.html"
-
-
-def check_sweep_page(folder: str | os.PathLike[str]) -> None:
-    """Raise unless the page of a sweep can be written; call it before a long run.
-
-    Raises:
-        FileExistsError: If another file has the name of the page.
-    """
-    path = sweep_page_of(folder)
-    if not path.exists():
-        return
-    head = path.read_bytes()[:200_000] if path.is_file() else b""
-    if str(node("p", KIND, class_="kind")).encode() not in head:
-        raise FileExistsError(
-            f"{path} is not a page of a sweep and would be overwritten. Move it away, "
-            "or give the folder another name."
-        )
-
-
-def write_sweep(
-    result: SweepResult,
-    folder: str | os.PathLike[str],
-    *,
-    sweep: Sweep | None = None,
-    timing_s: Mapping[str, float] | None = None,
-) -> Path:
-    """Write the page of a sweep beside its folder, whole or not at all.
-
-    Trials that failed or did not converge are in no mean or chart. With `sweep`, the
-    page also has settings, files with their SHA-256 and the command that repeats it.
-
-    Args:
-        result: The sweep, finished or not.
-        folder: That of its rows; the page of `sweep` is `sweep_report.html`.
-        sweep: The sweep file as it was loaded; None for a function of your own.
-        timing_s: Wall time per part [s].
-
-    Returns:
-        The page.
-
-    Raises:
-        FileExistsError: If another file has the name of the page.
-        OSError: If the page cannot be written.
-    """
-    check_sweep_page(folder)
-    path, folder = sweep_page_of(folder), Path(folder)
-    made = made_dict(None if sweep is None else sweep.made, folder.parent)
-    data = {**made, "timing_s": timing_s or {}, "files": [folder.name]}
-    files = [] if sweep is None else [file_dict(sweep.file, folder.parent)]
+def sweep_page_sections(result: SweepResult) -> Iterator[Section]:
+    """Write what the page of a sweep says: also charts and each trial."""
     figures = result.robot_figures
     repeated = any(len(part.rows) > 1 for _, part in result.groups())
-    tree = sweep_sections(result, figures=figures)
-    tree = [s for s in tree if s.key != "means" or repeated]
-    tree += _axes(result, figures)
-    tree += [_trials(result, figures)] if result.rows else []
-    tree += closing("sweep", data, files=files, out=REPEATED)
-    text = page(result.name, KIND, tree, index=folder.name, units="SI")
-    with replacing(path) as partial_file:
-        partial_file.write_text(text, encoding="utf-8")
-    return path
+    for section in sweep_sections(result, figures=figures):
+        if repeated or section.key != "means":
+            yield section
+    yield from _axes(result, figures)
+    if result.rows:
+        yield _trials(result, figures)
 
 
 def _axes(result: SweepResult, figures: Sequence[str]) -> Iterator[Section]:

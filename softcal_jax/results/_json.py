@@ -4,38 +4,161 @@
 and None, which stands for every number that is missing or not finite.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from softcal_jax._module import Result
+from softcal_jax._units import QUANTITIES
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
+    HistoryEntry,
+    LeftOut,
+    MultiStartResult,
+    ResidualChecks,
     SimulationResult,
 )
-from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.contact import ContactState
+from softcal_jax.control import OUTCOMES, InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
-from softcal_jax.equilibrium import Model
-from softcal_jax.export._headlines import headline, missed_words
-from softcal_jax.export._made import Made, made_dict, pick, plain
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
-from softcal_jax.inference import ErrorBudget
-from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
+from softcal_jax.equilibrium import BodyPlace, Model, RobotState
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    Prediction,
+    Ranking,
+    assess,
+)
+from softcal_jax.inference import ErrorBudget, Uncertainty
+from softcal_jax.layouts import (
+    LEVEL_OF_COMPARISON,
+    FoldScore,
+    ModelComparison,
+    ModelScore,
+    PairedDifference,
+)
+from softcal_jax.results._goals import design_bodies, missed_words
+from softcal_jax.results._made import Made, made_dict
+from softcal_jax.results._sections import RESULT_KINDS, Transfer, headline
+from softcal_jax.unknowns import CorrelatedNoise
 
-RESULT_FORMAT = "softcal_jax.result/2"
+KEYS: dict[type | str, str] = {
+    "markers": "name measured_mm simulated_before_mm simulated_mm residual_mm",
+    "effectors": "name unit is_turn measured simulated_before simulated residual",
+    CalibrationResult: "converged parameters intervals configurations history "
+    "uncertainty noise checks starts mistakes notes",
+    ConfigurationResult: "name role rms_before_mm rms_after_mm motion_mm "
+    "rms_after_percent_of_motion=rms_share markers=points effectors=others robot "
+    "newton_steps residual rounding at_rounding min_det_F",
+    HistoryEntry: "step cost lambda_p step_bound accepted kkt_residual newton_steps "
+    "values noise_level seconds rms_mm",
+    Uncertainty: "noise noise_scale degrees_of_freedom chi_squared covariance "
+    "correlation",
+    CorrelatedNoise: "jitter share offset_mm",
+    ResidualChecks: "reasons agreement lack_of_fit recordings level probability "
+    "left_out",
+    LeftOut: "name rms_mm expected_mm motion_mm probability by_scatter",
+    MultiStartResult: "names starts values cost steps converged optima second_best "
+    "missed",
+    Assessment: "outcome contradicted reasons misfit_probability predictions held",
+    Prediction: "name role std_mm",
+    Identifiability: "verdict n_data precision parameters informed directions "
+    "covariance correlation conditioning",
+    RobotState: "rigid_bodies=bodies actuators reactions contacts",
+    ContactState: "name force moment area depth sliding",
+    BodyPlace: "name state position_mm translation_mm rotation_vector",
+    ModelScore: "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
+    "fit_noise_rms fit_failure verdict folds",
+    FoldScore: "held_out rms_mm noise_rms fit_rms_mm failure",
+    Transfer: "difference poses motion rms_own rms_of_a lost "
+    "probability=difference.probability agree=difference.agree",
+    PairedDifference: "name difference standard_error half_width n told_apart",
+}
+"""Keys of the classes that results are made of, by attributes; of others, all fields.
+
+Effectors have those of `markers` where they are points, else those of `effectors`.
+
+One in _mm is converted from metres, one in percent from a share; `key=attribute` gives
+an attribute another name.
+"""
+
+
+def plain(value: Any) -> Any:
+    """Convert records to dictionaries, arrays to lists, non-finite numbers to None.
+
+    Keys of records are `KEYS`, or else all fields. NumPy numbers become Python's.
+    """
+    if isinstance(value, EffectorRecord):
+        kind = "markers" if value.quantity == "point" else "effectors"
+        return plain(pick(value, KEYS[kind]))
+    if dataclasses.is_dataclass(value):
+        every = " ".join(field.name for field in dataclasses.fields(value))
+        value = pick(value, KEYS.get(type(value), every))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        value = np.asarray(value).tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def pick(owner: object, names: str) -> dict[str, Any]:
+    """Return some attributes, by keys like those of `KEYS`."""
+    picked = {}
+    for name in names.split():
+        key, _, attribute = name.partition("=")
+        value = attrgetter(attribute or key.removesuffix("_mm"))(owner)
+        factor = _factor(key)
+        picked[key] = value if factor == 1.0 else factor * np.asarray(value)
+    return picked
+
+
+def _factor(key: str) -> float:
+    """Return the factor from SI to the unit that the end of a key names."""
+    ends = {"_mm": "distance", "_percent_of_motion": "share"}
+    quantities = (QUANTITIES[of] for end, of in ends.items() if key.endswith(end))
+    return next((factor for _, factor, _ in quantities), 1.0)
+
+
+def read_column(entries: Sequence[Mapping[str, Any]], key: str) -> dict[str, Any]:
+    """Return what entries of a file have under a key, by their names, in SI.
+
+    A number that `plain` left out is nan.
+    """
+    factor = _factor(key)
+    read = lambda value: math.nan if value is None else value / factor
+    return {e["name"]: e[key] if factor == 1.0 else read(e[key]) for e in entries}
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a dictionary, as from `result_dict`, as JSON that every parser reads.
+
+    Raises:
+        ValueError: If it holds a NaN or an infinity, which JSON lacks.
+    """
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+RESULT_FORMAT = f"softcal_jax.{RESULT_KINDS[CalibrationResult].format}"
 """Format of `result.json`."""
 
 
 def result_dict(
     result: Result,
+    known: Assessment | Ranking | None = None,
     *,
     name: str = "",
-    assessment: Assessment | None = None,
-    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
     made: Made | Mapping[str, Made] | None = None,
     directory: str | Path = ".",
@@ -49,9 +172,8 @@ def result_dict(
 
     Args:
         result: The result.
+        known: What is known of it besides, see `sections`.
         name: Its name; by default its kind.
-        assessment: That of a calibration, if known already.
-        ranking: Candidates that are ranked beside an `Identifiability`.
         timing_s: Wall times of further parts [s].
         made: What it was computed from and with; a calibration knows that, of models
             that are compared by their names.
@@ -63,7 +185,7 @@ def result_dict(
     times = {**(timing_s or {})}
     match result:
         case CalibrationResult():
-            kind, assessment = "result/2", assessment or assess(result)
+            assessment = known if isinstance(known, Assessment) else assess(result)
             with np.errstate(invalid="ignore", divide="ignore"):
                 content = plain(result)  # an exact fit has no spread
             content |= {
@@ -77,18 +199,16 @@ def result_dict(
             made = Made(result.model, settings, result.source)
             times = result.timing_s | times
         case SimulationResult():
-            kind, content = "simulation/1", _simulation(result)
-            made = made or Made(result.model, {})
+            content, made = _simulation(result), made or Made(result.model, {})
         case DesignResult():
-            kind = "design/1"
-            content = {**_simulation(bodies_of(result)), "design": _design(result)}
+            content = {**_simulation(design_bodies(result)), "design": _design(result)}
         case InverseResult() | TrajectoryResult():
             points = [result] if isinstance(result, InverseResult) else result.points
             met = all(point.met for point in points)
-            kind, content = "inverse/1", {"met": met, "points": [*map(_point, points)]}
+            content = {"met": met, "points": [*map(_point, points)]}
             made = made or Made(points[0].model, {})
         case ModelComparison():
-            kind, made = "comparison/1", made or {}
+            made = made or {}
             content = {
                 "verdict": headline(result),
                 **pick(result, "undecided models differences"),
@@ -96,13 +216,14 @@ def result_dict(
                 "level": LEVEL_OF_COMPARISON,
             }
         case Identifiability() | Ranking():
-            kind, content = "identifiability/3", _outlook(result, ranking)
+            content = _outlook(result, known)
         case _:
             raise TypeError(f"a {type(result).__name__} is no result that is written.")
+    kind = RESULT_KINDS[type(result)]
     return plain(
         {
-            "format": f"softcal_jax.{kind}",
-            "name": name or kind.partition("/")[0].replace("result", "calibration"),
+            "format": f"softcal_jax.{kind.format}",
+            "name": name or kind.file.replace("result", "calibration"),
             **made_dict(made, directory),
             **content,
             "timing_s": times,
@@ -136,11 +257,8 @@ def _budget(budget: ErrorBudget) -> dict[str, Any]:
     }
 
 
-def _outlook(
-    result: Identifiability | Ranking, ranking: Ranking | None
-) -> dict[str, Any]:
-    outlook = None if isinstance(result, Ranking) else result
-    ranked = result if isinstance(result, Ranking) else ranking
+def _outlook(result: Identifiability | Ranking, known: Any) -> dict[str, Any]:
+    outlook, ranked = (None, result) if isinstance(result, Ranking) else (result, known)
     budget = outlook and outlook.budget and _budget(outlook.budget)
     left = ranked.unranked.items() if ranked else ()
     said = ranked and {
@@ -149,12 +267,6 @@ def _outlook(
         "unranked": [{"name": name, "reason": reason} for name, reason in left],
     }
     return {"identifiability": outlook, "budget": budget, "ranking": said}
-
-
-def bodies_of(result: DesignResult) -> SimulationResult:
-    """Return the equilibria of a design, as those of a simulation."""
-    posed = [replace(pose, role="design") for pose in result.fit.configurations]
-    return SimulationResult(result.fit.model, tuple(posed))
 
 
 def _simulation(result: SimulationResult) -> dict[str, Any]:
@@ -206,7 +318,14 @@ def _point(result: InverseResult) -> dict[str, Any]:
         **pick(result, "met tol"),
         "message": headline(result),
         "outcome": OUTCOMES[result.outcome],
-        "goals": [_goal(fit, result.tol) for fit in result.goals],
+        "goals": [
+            {
+                **pick(goal, "name unit is_turn"),
+                "met": goal.worst <= result.tol,
+                **pick(goal, "goal=measured reached=simulated residual std in_std"),
+            }
+            for goal in result.goals
+        ],
         "actuators": [
             {"commanded": a.name in result.configuration.actuation, **plain(a)}
             for a in result.actuators
@@ -223,22 +342,8 @@ def _point(result: InverseResult) -> dict[str, Any]:
     }
 
 
-def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
-    effector = fit.effector
-    asked = lambda values: np.where(effector.seen, values, np.nan)
-    return {
-        **pick(effector, "name unit is_turn"),
-        "met": bool(np.max(np.abs(fit.in_std), initial=0.0) <= tol),
-        "goal": asked(effector.measured),
-        "reached": fit.reached,
-        "residual": asked(fit.residual),
-        "std": effector.std,
-        "in_std": asked(fit.in_std),
-    }
-
-
 def _design(result: DesignResult) -> dict[str, Any]:
-    goal = "configuration name met error expected interval hangs_on share"
+    goal = "configuration name=effector.name met error expected interval hangs_on share"
     return {
         **pick(result, "met values robust error expected"),
         "verdict": headline(result),

@@ -1,7 +1,7 @@
 """What is said of poses: the state of the robot, errors, and what is predicted."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -10,23 +10,35 @@ import numpy as np
 
 from softcal_jax import plotting
 from softcal_jax._text import MOST_NAMED, listed
-from softcal_jax._tree import Chart, Section, Table, Value, verdict
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     ConfigurationResult,
     ResidualChecks,
     SimulationResult,
 )
-from softcal_jax.configurations import EffectorRecord, beyond, rms_distance
+from softcal_jax.configurations import (
+    Configuration,
+    EffectorRecord,
+    ImposedDisplacement,
+    ImposedForce,
+    beyond,
+    rms_distance,
+)
 from softcal_jax.equilibrium import ActuatorState, Model
-from softcal_jax.export import headline
+from softcal_jax.results._tree import Chart, Section, Table, Value, verdict
 
 MOST_LISTED = 6  # held-out configurations that are listed one by one
 
 
-def simulation_sections(result: SimulationResult) -> tuple[Section, ...]:
+def simulation_sections(result: SimulationResult) -> Iterator[Section]:
     """Write the outcome in every configuration, and the state of the robot."""
     poses, tone = result.configurations, "doubtful" if result.doubts else "good"
+    n, n_converged = len(poses), sum(pose.converged for pose in poses)
+    text = f"{n_converged} of {n} configurations have an equilibrium."
+    if n_converged == n:
+        every = "The configuration has" if n == 1 else f"All {n} configurations have"
+        text = f"{every} an equilibrium."
+    yield verdict(text, tone if result.converged else "bad", result.doubts)
     rows = [
         (
             c.name,
@@ -38,13 +50,9 @@ def simulation_sections(result: SimulationResult) -> tuple[Section, ...]:
     ]
     heads = "configuration | largest displacement [distance] | Newton steps | outcome"
     outcomes = Table.of("Simulation", heads, rows)
-    words = (f"{model_words(result.model)}.",)
-    return (
-        verdict(headline(result), tone if result.converged else "bad", result.doubts),
-        Section("states", "States", (), (outcomes, *robot_tables(poses))),
-        Section("errors", "Errors", held_out_sentences(poses)),
-        Section("model", "Model", words, folded=True),
-    )
+    yield Section("states", "States", (), (outcomes, *robot_tables(poses)))
+    yield Section("errors", "Errors", held_out_sentences(poses))
+    yield Section("model", "Model", (f"{model_words(result.model)}.",), folded=True)
 
 
 def model_words(model: Model) -> str:
@@ -118,6 +126,18 @@ def _effectors(configurations: Sequence[ConfigurationResult]) -> Table:
 def effector_name(effector: EffectorRecord) -> str:
     """Name an effector; the turn of a frame is another than its point."""
     return f"{effector.name}{' (turn)' * effector.is_turn}"
+
+
+def imposed(
+    model: Model, c: Configuration
+) -> Iterator[tuple[str, ImposedForce | ImposedDisplacement, str]]:
+    """Yield the commanded actuators by name, what is imposed on each, and its unit."""
+    actuators = model.mechanism.actuators
+    for name, command in c.actuation.items():
+        kind = actuators.kinds[actuators.names.index(name)]
+        by_displacement = isinstance(command, ImposedDisplacement)
+        unit = kind.displacement_unit if by_displacement else kind.force_unit
+        yield name, command, unit or ""
 
 
 MOVED = "force or pressure | displacement or growth"
@@ -265,3 +285,80 @@ def chart_of(
     lines = None if rows is None else 2.0 + 1.6 * rows
     plot = partial(plotting.plot_panels, drawn=[draw], lines=lines)
     return Chart(title, plot, caption)
+
+
+_VALUES = ("measured", "simulated_before", "simulated", "residual")
+_BODY = {"position": "m", "translation": "m", "rotation_vector": "rad"}
+_CONTACT = {"force": "N", "moment": "N m", "area": "m2", "depth": "m", "sliding": "-"}
+"""Attributes of bodies and of contacts that are written, and their units."""
+
+
+def csv_tables(configurations: Sequence[ConfigurationResult]) -> dict[str, Table]:
+    """Tabulate the values of all configurations, by the names of files.
+
+    A line of `markers.csv` is a marker or other point, in mm; one of `effectors.csv` a
+    coordinate of an effector that is not a point, in SI; one of `robot.csv` a value of
+    a body, actuator, reaction or contact, in SI. A file without lines is left out.
+    """
+    values = lambda e: [getattr(e, column) for column in _VALUES]
+    points = [
+        (c.name, c.role, p.name, *np.concatenate(values(p)), p.distance(p.simulated))
+        for c in configurations
+        for p in c.points
+    ]
+    others = [
+        (c.name, c.role, e.name, name, e.unit, *coordinate)
+        for c in configurations
+        for e in c.others
+        for name, *coordinate in zip(
+            _coordinates("turn" if e.is_turn else "value", len(e.measured)),
+            *values(e),
+            strict=True,
+        )
+    ]
+    state = [(c.name, *line) for c in configurations for line in _robot(c)]
+    places = " | ".join(f"{v}_{axis} [distance]" for v in _VALUES for axis in "xyz")
+    heads = f"configuration | role | marker | {places} | distance [distance]"
+    rest = f"effector | coordinate | unit | {' | '.join(_VALUES)}"
+    robot = "configuration | part | name | what | quantity | value | unit"
+    tables = {
+        "markers.csv": Table.of("", heads, points),
+        "effectors.csv": Table.of("", f"configuration | role | {rest}", others),
+        "robot.csv": Table.of("", robot, state),
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def _coordinates(what: str, n: int) -> list[str]:
+    return [f"{what}_{axis}" for axis in "xyz"[:n]] if n > 1 else [what]
+
+
+def _robot(result: ConfigurationResult) -> Iterator[tuple[Any, ...]]:
+    """Yield part, name, what it is, quantity, value and unit."""
+    robot = result.robot
+    if robot is None:
+        return
+    for body in robot.bodies:
+        yield from _components("rigid body", body, body.state, _BODY)
+    for a in robot.actuators:
+        for what in ("force", "displacement"):
+            value, unit = getattr(a, what), getattr(a, f"{what}_unit")
+            if value is not None:
+                quantity = f"{what}{' (imposed)' * (a.imposed == what)}"
+                yield "actuator", a.name, a.kind, quantity, value, unit
+    for reaction in robot.reactions:
+        what = "force of the ground"
+        yield from _components("reaction", reaction, what, {"force": "N"})
+    bodies = {body.name for body in robot.bodies}
+    for contact in robot.contacts:
+        what = "obstacle" if contact.name in bodies else "pair of surfaces"
+        yield from _components("contact", contact, what, _CONTACT)
+
+
+def _components(
+    part: str, of: Any, what: str, units: Mapping[str, str]
+) -> Iterator[tuple[Any, ...]]:
+    for key, unit in units.items():
+        values = np.atleast_1d(getattr(of, key))
+        for name, value in zip(_coordinates(key, len(values)), values, strict=True):
+            yield part, of.name, what, name, value, unit

@@ -1,12 +1,12 @@
 """What a calibration says, and what its data tell: values, verdict, what to do next."""
 
 import math
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
 from softcal_jax import plotting
-from softcal_jax._tree import Chart, Column, Section, Table, Tone, Value, verdict
 from softcal_jax._units import number, readable
 from softcal_jax.calibration import (
     FLAT,
@@ -15,7 +15,6 @@ from softcal_jax.calibration import (
     MultiStartResult,
     ParameterEstimate,
 )
-from softcal_jax.export import headline
 from softcal_jax.identifiability import (
     LOST,
     Assessment,
@@ -24,7 +23,7 @@ from softcal_jax.identifiability import (
     assess,
 )
 from softcal_jax.inference import BLIND_FROM, ErrorBudget
-from softcal_jax.report._poses import (
+from softcal_jax.results._poses import (
     chart_of,
     error_charts,
     error_tables,
@@ -32,6 +31,15 @@ from softcal_jax.report._poses import (
     listed_fits,
     model_words,
     robot_tables,
+)
+from softcal_jax.results._tree import (
+    Chart,
+    Column,
+    Section,
+    Table,
+    Tone,
+    Value,
+    verdict,
 )
 
 _SCOPE = (
@@ -46,6 +54,13 @@ MOST_BARS = 24  # rows of a chart
 MOST_DIRECTIONS = 8  # blind directions that are listed; the others are only counted
 MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
 MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
+_OUTCOMES: dict[str, str] = {
+    "trust": "Trust these values: the fit converged, and every check passed.",
+    "take with care": "Take these values with care:",
+    "do not use": "Do not use these values:",
+}
+"""What may be done with the values; it ends with a colon where reasons follow."""
+
 TONES: dict[str, Tone] = {
     "trust": "good",
     "take with care": "doubtful",
@@ -59,38 +74,36 @@ TONES: dict[str, Tone] = {
 
 def calibration_sections(
     result: CalibrationResult, assessment: Assessment | None = None
-) -> tuple[Section, ...]:
+) -> Iterator[Section]:
+    """Write what a calibration answers, and what that rests on."""
     assessment = assessment or assess(result)
     fits, outlook = result.configurations, assessment.identifiability
+    yield from answer(result, assessment)
     tables = (
         parameter_table(result, outlook),
         interval_table(result),
         budget_table(result.budget),
         optima_table(result.starts),
     )
-    errors = tuple(error_tables(fits, result.checks))
+    yield Section("parameters", "Parameters", (), tables, budget_chart(result))
     predicted = tuple(filter(None, [assessment.prediction]))
-    tone = outlook_tone(outlook.verdict, assessment)
-    data, known = _blindness(outlook), (outlook_table(assessment),)
+    errors = error_tables(fits, result.checks)
+    yield Section("errors", "Residuals", predicted, errors, error_charts(fits))
+    yield Section("robot", "Robot", (), robot_tables(listed_fits(fits)))
+    tone, known = outlook_tone(outlook.verdict, assessment), outlook_table(assessment)
+    told = _blindness(outlook), (known,)
+    yield Section("data", "What the data determine", *told, tone=tone)
     agreement = result.checks.agreement if result.checks else ()
-    robot = tuple(robot_tables(listed_fits(fits)))
+    yield Section("agreement", "Each recording fitted alone", agreement)
+    yield Section("notes", "Notes", result.notes, tone="doubtful")
     course = (history_table(result),), course_charts(result)
+    yield Section("fit", "Course of the fit", (), *course, folded=True)
     subject = (_subject(result, outlook),)
-    return (
-        *answer(result, assessment),
-        Section("parameters", "Parameters", (), tables, budget_chart(result)),
-        Section("errors", "Residuals", predicted, errors, error_charts(fits)),
-        Section("robot", "Robot", (), robot),
-        Section("data", "What the data determine", data, known, tone=tone),
-        Section("agreement", "Each recording fitted alone", agreement),
-        Section("notes", "Notes", result.notes, tone="doubtful"),
-        Section("fit", "Course of the fit", (), *course, folded=True),
-        Section("subject", "What was calibrated", (), subject, folded=True),
-        _inner(outlook),
-    )
+    yield Section("subject", "What was calibrated", (), subject, folded=True)
+    yield _inner(outlook)
 
 
-def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, ...]:
+def answer(result: CalibrationResult, assessment: Assessment) -> Iterator[Section]:
     """Say what a calibration answers, in the order in which it is read."""
     every = result.parameters
     shown, more = every[:MOST_VALUES], len(every) - MOST_VALUES
@@ -102,16 +115,14 @@ def answer(result: CalibrationResult, assessment: Assessment) -> tuple[Section, 
         rows.append((p.name, value_cell(p), level))
     note = f"and {more} more." if more > 0 else ""
     values = Table.of("", "parameter | value | interval", rows, note=note)
+    mistakes = tuple(f"Possible mistake: {text}" for text in result.mistakes)
+    yield Section("answer", "", mistakes, (values,))
+    yield verdict_of(assessment)
     none = "Held-out error: unknown, because every pose was used in the fit."
     held_out = held_out_sentences(result.configurations) or [none]
     scope = " ".join(filter(None, [assessment.held_fixed, _SCOPE]))
     follows = *held_out, f"Next: {_next_step(result, assessment)}", scope
-    mistakes = tuple(f"Possible mistake: {text}" for text in result.mistakes)
-    return (
-        Section("answer", "", mistakes, (values,)),
-        verdict_of(assessment),
-        Section("next", "", follows),
-    )
+    yield Section("next", "", follows)
 
 
 def _subject(result: CalibrationResult, outlook: Identifiability) -> Table:
@@ -146,7 +157,8 @@ def value_cell(parameter: ParameterEstimate, tone: Tone = "plain") -> Value:
 
 def verdict_of(assessment: Assessment) -> Section:
     """Say in one sentence whether the values of a calibration can be used."""
-    return verdict(headline(assessment), TONES[assessment.outcome], assessment.reasons)
+    outcome = assessment.outcome
+    return verdict(_OUTCOMES[outcome], TONES[outcome], assessment.reasons)
 
 
 def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
@@ -224,12 +236,11 @@ def interval_table(result: CalibrationResult) -> Table:
     return Table.of("Intervals", f"parameter | {level} | kind", rows)
 
 
-def search_sections(result: MultiStartResult) -> tuple[Section, ...]:
-    optima = optima_table(result)._replace(note="")
-    return (
-        verdict(headline(result), "plain"),
-        Section("optima", "Optima", (), (optima,)),
-    )
+def search_sections(result: MultiStartResult) -> Iterator[Section]:
+    """Write how the runs of a search ended, and the distinct optima."""
+    optima = optima_table(result)
+    yield verdict(optima.note, "plain")
+    yield Section("optima", "Optima", (), (optima._replace(note=""),))
 
 
 def optima_table(starts: MultiStartResult | None) -> Table:
@@ -237,7 +248,26 @@ def optima_table(starts: MultiStartResult | None) -> Table:
     optima = () if starts is None else starts.optima[:MOST_OPTIMA]
     rows = [(one.cost, len(one.starts), one.words) for one in optima]
     heads = "cost [ratio] | starts that end there | values"
-    return Table.of("Optima", heads, rows, note=headline(starts) if starts else "")
+    return Table.of("Optima", heads, rows, note=_search_words(starts))
+
+
+def _search_words(starts: MultiStartResult | None) -> str:
+    """Say how the runs of a search ended."""
+    if starts is None:
+        return ""
+    n, lost = len(starts.cost), np.isinf(starts.cost)
+    unfinished = ~starts.converged & ~lost
+    text = f"{n} starts, {starts.converged.sum()} converged, {len(starts.optima)} "
+    text += "distinct optima."
+    if starts.missed < 1.0:
+        share = f"{100.0 * starts.missed:.0f} %"
+        text += f" Of further starts, {share} are expected to end at others."
+    if unfinished.any():
+        lowest = starts.cost[unfinished].min()
+        text += f" {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
+    if lost.any():
+        text += f" {lost.sum()} without equilibrium at the start."
+    return text
 
 
 def history_table(result: CalibrationResult) -> Table:
@@ -279,46 +309,57 @@ def course_charts(result: CalibrationResult) -> tuple[Chart, ...]:
     )
 
 
-def assessment_sections(assessment: Assessment) -> tuple[Section, ...]:
-    _, *known = outlook_sections(assessment.identifiability)
+def assessment_sections(assessment: Assessment) -> Iterator[Section]:
+    """Write whether values can be used, and what the data tell of each."""
+    yield verdict_of(assessment)
+    outlook, *known = outlook_sections(assessment.identifiability)
     provided = ("If the model is right:",) * assessment.contradicted
+    yield Section("outlook", "What the data determine", (*provided, *outlook.text))
+    yield from known
     said = assessment.held_fixed, assessment.prediction
-    outlook = headline(assessment.identifiability)
-    return (
-        verdict_of(assessment),
-        Section("outlook", "What the data determine", (*provided, outlook)),
-        *known,
-        Section("prediction", "Prediction", tuple(filter(None, said))),
-    )
+    yield Section("prediction", "Prediction", tuple(filter(None, said)))
 
 
 def outlook_sections(
     outlook: Identifiability | None, ranking: Ranking | None = None
-) -> tuple[Section, ...]:
+) -> Iterator[Section]:
     """Write what data tell, or would tell, and which candidates tell more."""
-    tree = []
+    advice = ()
     if outlook is not None:
+        advice, n_data, n_p = outlook.advice, outlook.n_data, outlook.n_parameters
+        said = f"{outlook.verdict.capitalize()} at these values: {n_data} measured "
+        said += f"coordinate{'s' * (n_data != 1)} for {n_p} parameter{'s' * (n_p != 1)}"
+        yield verdict(f"{said}.", TONES[outlook.verdict])
         tables = [_outlook_table(outlook)]
         if outlook.budget is not None and outlook.n_data:
             tables.append(budget_table(outlook.budget))
-        unseen = _blindness(outlook)
-        tree = [
-            verdict(headline(outlook), TONES[outlook.verdict]),
-            Section("parameters", "Parameters", (), tuple(tables)),
-            Section("directions", "Combinations of the parameters", unseen),
-        ]
-    advice = outlook.advice if outlook else ()
+        yield Section("parameters", "Parameters", (), tuple(tables))
+        blindness = _blindness(outlook)
+        yield Section("directions", "Combinations of the parameters", blindness)
     if ranking is not None:
+        said = _best_candidate(ranking)
+        if outlook is None:
+            yield verdict(said, "plain")
         rows = [(gain.name, gain.effect) for gain in ranking.gains]
         tables = (Table.of("Candidates", "candidate | what falls most", rows),)
-        said = (headline(ranking),) if outlook else ()
-        tree += [] if outlook else [verdict(headline(ranking), "plain")]
-        tree.append(Section("candidates", "What candidates would add", said, tables))
+        said = (said,) if outlook else ()
+        yield Section("candidates", "What candidates would add", said, tables)
         left = ranking.unranked.items()
         advice = [f"Not ranked: {name!r}: {reason}." for name, reason in left]
         advice.append(ranking.reached)
-    tree.append(Section("next", "What to measure next", advice))
-    return *tree, *([] if outlook is None else [_inner(outlook)])
+    yield Section("next", "What to measure next", advice)
+    if outlook is not None:
+        yield _inner(outlook)
+
+
+def _best_candidate(ranking: Ranking) -> str:
+    """Say which candidate tells most, if one tells anything."""
+    if not ranking.gains:
+        return "No candidate can be ranked."
+    if not ranking.helps:
+        return "No candidate lowers the errors: know what is held fixed better."
+    best = ranking.gains[0]
+    return f"Candidate {best.name!r} tells most: {best.effect}."
 
 
 def _outlook_table(outlook: Identifiability) -> Table:

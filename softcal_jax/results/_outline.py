@@ -9,9 +9,8 @@ import jax
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._tree import Section, Table, Value
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -19,7 +18,6 @@ from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
     EffectorRecord,
-    ImposedDisplacement,
     Support,
     Unstated,
     beyond,
@@ -29,6 +27,8 @@ from softcal_jax.equilibrium import Model, omission_sentences, omissions
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
+from softcal_jax.results._poses import imposed
+from softcal_jax.results._tree import Section, Table, Value
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
 ROLES |= {"design": "design", "prediction": "predicted", "command": "commanded"}
@@ -61,16 +61,16 @@ def control_point_sets(project: Project) -> dict[str, ControlPoints]:
     return {", ".join(fields): points for points, fields in sets.values()}
 
 
-def outline(
+def project_sections(
     project: Project, quantities: Sequence[QuantityAsRead] = ()
-) -> tuple[Section, ...]:
+) -> Iterator[Section]:
     """Describe a project that was read, without solving or compiling anything.
 
     Args:
         project: The project.
         quantities: Its quantities as they were typed.
 
-    Returns:
+    Yields:
         Sections, not all of which say anything: first the guesses of `softcal new` that
         nobody has confirmed, last the commands for which the project is complete.
     """
@@ -131,8 +131,9 @@ def outline(
         Table.of("Quantities as read, in SI and mm", " |  | ", _as_read(quantities)),
         Table.of("Commands", " | ", _commands(project)),
     ]
-    key = lambda table: table.title.lower().replace(" ", "-")
-    return tuple(Section(key(t), t.title, tables=(t,)) for t in tables)
+    for table in tables:
+        key = table.title.lower().replace(" ", "-")
+        yield Section(key, table.title, tables=(table,))
 
 
 def _model(model: Model) -> Iterator[tuple[str, str]]:
@@ -217,13 +218,17 @@ def _markers(
 
 def _configuration(model: Model, c: Configuration, role: str) -> tuple[str, ...]:
     weight = model.mass * STANDARD_GRAVITY
+    commands = (
+        f"{name} {readable_values([of.value], unit)}{', releasing' * of.releasing}"
+        for name, of, unit in imposed(model, c)
+    )
     return (
         c.name,
         role,
         _sized(c.gravity, "m/s2") if np.any(c.gravity) else "none",
         ", ".join(_support(s, model.mesh) for s in c.supports),
         ", ".join(_load(load, model.mesh, weight) for load in c.loads),
-        ", ".join([*_actuation(model, c), *_states(c)]),
+        ", ".join([*commands, *_states(c)]),
     )
 
 
@@ -245,16 +250,6 @@ def _load(load: AbstractLoad, mesh: TetMesh, weight: float) -> str:
         on = f" at {readable_values(np.asarray(point).tolist(), 'm')}"
     times = f" = {np.linalg.norm(force) / weight:.3g} x weight" if weight else ""
     return f"{_sized(force, 'N')}{on}{times}"
-
-
-def _actuation(model: Model, c: Configuration) -> Iterator[str]:
-    actuators = model.mechanism.actuators
-    for name, asked in c.actuation.items():
-        kind = actuators.kinds[actuators.names.index(name)]
-        imposed = isinstance(asked, ImposedDisplacement)
-        unit = kind.displacement_unit if imposed else kind.force_unit
-        released = ", releasing" if asked.releasing else ""
-        yield f"{name} {readable_values([asked.value], unit or '')}{released}"
 
 
 def _states(c: Configuration) -> Iterator[str]:
@@ -312,7 +307,8 @@ def _share(c: Configuration) -> str:
     """Write the part of the noise that is a share of the motion, if there is one."""
     if c.relative_std == "estimated":
         return " and an estimated share of the motion"
-    return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
+    share = readable(c.relative_std, "percent")
+    return f" and {share} of the motion" if c.relative_std else ""
 
 
 def _motion(
@@ -337,7 +333,7 @@ def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) ->
         return _motion([record], before)
     if record.is_turn:
         turn = math.acos(np.clip(0.5 * (np.trace(record.reference) - 1.0), -1.0, 1.0))
-        return f"turned {math.degrees(turn):.3g} deg from rest"
+        return f"turned {readable_values([turn], 'rad', digits=3)} from rest"
     return readable_values(list(record.measured), record.unit)
 
 
@@ -394,7 +390,7 @@ def _commands(project: Project) -> Iterator[tuple[str, str]]:
         yield "softcal export", plain
 
 
-def mesh_section(mesh: TetMesh) -> Section:
+def mesh_sections(mesh: TetMesh) -> Iterator[Section]:
     """Describe a mesh and its groups; surfaces have a point on them.
 
     Points are written as a project file has them.
@@ -419,7 +415,7 @@ def mesh_section(mesh: TetMesh) -> Section:
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
             rows.append((name, f"{len(nodes)} nodes", ""))
-    return Section("mesh", "", (text,), (Table.of("Groups", " |  | ", rows),))
+    yield Section("mesh", "", (text,), (Table.of("Groups", " |  | ", rows),))
 
 
 def _sized(vector: Any, unit: str) -> str:

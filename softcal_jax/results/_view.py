@@ -12,9 +12,9 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import LABELS, MARKS, NOT_CONVERGED, motion_words
-from softcal_jax.report._html import Html, bullets, joined, node, resource, template
-from softcal_jax.report._outline import ROLES
-from softcal_jax.report._view_data import (
+from softcal_jax.results._html import Html, bullets, joined, node, resource, template
+from softcal_jax.results._outline import ROLES
+from softcal_jax.results._view_data import (
     TetValues,
     calibrated_field,
     state_fields,

@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax import export, plotting
+from softcal_jax import plotting
 from softcal_jax._text import escaped
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable_unit, readable_values
@@ -27,6 +27,14 @@ from softcal_jax.mesh import (
     boundary_tets,
     face_indices,
     tessellate,
+)
+from softcal_jax.results._vtu import (
+    STANDARD_ERROR,
+    fibre_directions,
+    field_units,
+    principal_stretches,
+    tet_fields,
+    von_mises_stress,
 )
 
 TetValues = Mapping[str, Float[HostArray, " n_tets"]]
@@ -106,7 +114,7 @@ def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
     if not pose.converged:
         return {}
     states = tet_states(model, jnp.asarray(pose.displacement))
-    values = export.principal_stretches(states)[:, 0], export.von_mises_stress(states)
+    values = principal_stretches(states)[:, 0], von_mises_stress(states)
     return dict(zip(_STATE, values, strict=True))
 
 
@@ -170,12 +178,12 @@ def _distances(pose: ConfigurationResult):
 def _law_fields(
     model: Model, surface: Surface, errors: TetValues | None
 ) -> list[Field]:
-    units, per_tet = export.field_units(model), export.tet_fields(model, errors or {})
+    units, per_tet = field_units(model), tet_fields(model, errors or {})
     fields = []
     for name, values in per_tet.items():
         if name not in units or values.ndim > 1:
             continue
-        error = per_tet.get(name + export.STANDARD_ERROR)
+        error = per_tet.get(name + STANDARD_ERROR)
         if error is None and np.ptp(values) <= 1e-9 * np.abs(values).max():
             continue
         unit = units[name]
@@ -329,7 +337,7 @@ def _fibres(
     model: Model, surface: Surface, u: Float[HostArray, "n_nodes 3"]
 ) -> Float[HostArray, "n_fibres 2 3"]:
     """Find the ends of fibres in tets at the surface, which move with the tets [mm]."""
-    mesh, families = model.mesh, export.fibre_directions(model).values()
+    mesh, families = model.mesh, fibre_directions(model).values()
     tets = np.unique(surface.tets)
     count = min(_FIBRES // max(len(families), 1), len(tets))
     tets = tets[np.unique(np.linspace(0, len(tets) - 1, count).round().astype(int))]

@@ -20,15 +20,12 @@ from softcal_jax._text import SoftcalWarning, check_known, listed
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import is_number, readable
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import (
-    RESULT_FORMAT,
-    complete_results,
-    read_displacement,
-    solver_dict,
-)
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
+from softcal_jax.results._folder import complete_results
+from softcal_jax.results._json import RESULT_FORMAT, read_column, solver_dict
+from softcal_jax.results._vtu import read_displacement
 
 RESULT = "result.json"  # name of the file in a results folder
 
@@ -46,40 +43,44 @@ class LoadedResult(Module):
 
     Attributes:
         path: The file `result.json`.
+        content: What it holds, by its keys and in its units.
         project: The project that was calibrated, as `load_project` gives it: its model
             has the start values.
         model: The model with the calibrated values.
-        space: The parameters, with start and bounds.
-        values: The calibrated values by name, in SI units.
-        z: The same, scaled [-].
-        estimate: What the calibration says of them, to compare with another's.
-        errors: Root mean square of the distances of markers and other points from
-            where they were measured, by configuration; nan without points [m].
-        states: The .vtu of each configuration that had an equilibrium.
-        converged: Whether the calibration converged; if not, do not use the values.
-        outcome: What may be done with the values, see `Assessment`.
-        doubts: Why it is no more than that.
+        estimate: What the calibration says of the parameters.
     """
 
     path: Path
+    content: Mapping[str, Any]
     project: Project
     model: Model
-    space: ParameterSpace
-    values: dict[str, float]
-    z: Float[Array, " n_p"]
     estimate: Estimate
-    errors: dict[str, float]
-    states: dict[str, Path]
-    converged: bool
-    outcome: str
-    doubts: tuple[str, ...]
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The parameters, with start and bounds."""
+        return self.estimate.space
+
+    @property
+    def z(self) -> Float[Array, " n_p"]:
+        """The calibrated values, scaled [-]."""
+        return jnp.asarray(self.estimate.z)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The calibrated values by name, in SI units."""
+        return self.column("value", of="parameters")
+
+    def column(self, key: str, *, of: str = "configurations") -> dict[str, Any]:
+        """Return what one of its tables has under a key, by name; lengths in m."""
+        return read_column(self.content[of], key)
 
     def _words(self) -> str:
         values = (
             f"{q.name} = {readable(self.values[q.name], q.unit)}"
             for q in self.space.parameters
         )
-        end = "converged" if self.converged else "NOT CONVERGED"
+        end = "converged" if self.content["converged"] else "NOT CONVERGED"
         return ", ".join([self.project.name, end, *values])
 
     def posed(
@@ -106,6 +107,13 @@ class LoadedResult(Module):
         batch = configurations.configuration_arrays(mesh, [posed[name]], mechanism)
         return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
 
+    def state_of(self, name: str) -> Path | None:
+        """Return the .vtu of a configuration; None without an equilibrium."""
+        entries = [e for e in self.content["configurations"] if e["name"] == name]
+        files = (file for entry in entries for file in entry.get("files", []))
+        vtu = [file for file in files if file.endswith(".vtu")]
+        return self.path.parent / vtu[0] if vtu else None
+
     def displacement(self, name: str) -> Float[Array, "n_points 3"] | None:
         """Read the equilibrium that the calibration found of a configuration [m].
 
@@ -115,7 +123,7 @@ class LoadedResult(Module):
         Raises:
             ResultError: If its file is damaged.
         """
-        path = self.states.get(name)
+        path = self.state_of(name)
         if path is None or not path.is_file():
             return None
         try:
@@ -163,15 +171,7 @@ def load_result(
             beside = path.parent.resolve() / source["project"]["file"]
             project = os.path.normpath(beside)
         _check_unchanged(path, Path(project), source)
-        missed = {c["name"]: c["rms_after_mm"] for c in data["configurations"]}
-        errors = {k: math.nan if mm is None else 1e-3 * mm for k, mm in missed.items()}
-        states = {
-            fit["name"]: path.parent / file
-            for fit in data["configurations"]
-            for file in fit.get("files", [])[:1]
-            if file.endswith(".vtu")
-        }
-        doubts = tuple(said["reasons"])
+        read_column(data["configurations"], "rms_after_mm")
         C = np.array(data["budget"]["covariance"], float)
         solver, version = {**data["solver"]}, data["versions"]["softcal_jax"]
         changes = {**source["changes"]}
@@ -179,20 +179,8 @@ def load_result(
     loaded = load_project(project, changes=changes)
     space = _checked_space(path, loaded, [*values], solver, version)
     z = space.to_scaled(jnp.asarray([*values.values()]))
-    return LoadedResult(
-        path=path,
-        project=loaded,
-        model=space.model_at(loaded.model, z),
-        space=space,
-        values=values,
-        z=z,
-        estimate=Estimate(space, z, C, said.get("contradicted", False)),
-        errors=errors,
-        states=states,
-        converged=data["converged"],
-        outcome=said.get("outcome", "take with care"),
-        doubts=doubts,
-    )
+    estimate = Estimate(space, z, C, said.get("contradicted", False))
+    return LoadedResult(path, data, loaded, space.model_at(loaded.model, z), estimate)
 
 
 def result_path(path: str | os.PathLike[str]) -> Path:

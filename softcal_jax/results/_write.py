@@ -1,32 +1,22 @@
 """Write a results folder: the results whole or not at all, then the bodies, too."""
 
-import re
+import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import jax
-import numpy as np
-
-from softcal_jax import export
 from softcal_jax._module import Result
-from softcal_jax._places import with_remedy
+from softcal_jax._places import replacing, with_remedy
 from softcal_jax._text import SoftcalWarning
-from softcal_jax._tree import Section
 from softcal_jax.calibration import (
     CalibrationResult,
-    SimulationResult,
     SourceFile,
-    simulation_result,
 )
-from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.designs import DesignResult
 from softcal_jax.fields import field_standard_errors
-from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
-from softcal_jax.layouts import ModelComparison
+from softcal_jax.identifiability import Assessment, Ranking, assess
 from softcal_jax.plotting import (
     PICTURES,
     plot_traces,
@@ -35,9 +25,9 @@ from softcal_jax.plotting import (
 )
 from softcal_jax.project import Project, printed_project
 from softcal_jax.readings import Traces
-from softcal_jax.report._html import (
+from softcal_jax.results._folder import file_stems, results_folder
+from softcal_jax.results._html import (
     Html,
-    closing,
     figure,
     framed,
     head_html,
@@ -47,11 +37,19 @@ from softcal_jax.report._html import (
     resource,
     section_html,
 )
-from softcal_jax.report._outline import ROLES
-from softcal_jax.report._sections import sections
-from softcal_jax.report._view import PageView, body_view
+from softcal_jax.results._json import plain, result_dict, write_json
+from softcal_jax.results._made import Made, closing, file_dict, made_dict
+from softcal_jax.results._outline import ROLES
+from softcal_jax.results._poses import csv_tables
+from softcal_jax.results._sections import RESULT_KINDS, Bodies, sections
+from softcal_jax.results._sweep import sweep_page_sections
+from softcal_jax.results._tree import Section, write_csv
+from softcal_jax.results._view import PageView, body_view
+from softcal_jax.results._vtu import write_pvd, write_robot_vtu, write_vtu
+from softcal_jax.sweeps import Sweep, SweepResult
 
 REPORT = "report.html"  # name of the page in a results folder
+_SWEEP = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
 MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
 COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
 Picture = Literal["png", "svg", "pdf"]
@@ -69,12 +67,11 @@ def write_results(
     result: Result,
     directory: str | Path,
     *,
+    known: Assessment | Ranking | None = None,
     name: str = "",
     force: bool = False,
-    assessment: Assessment | None = None,
-    ranking: Ranking | None = None,
     timing_s: Mapping[str, float] | None = None,
-    made: export.Made | Mapping[str, export.Made] | None = None,
+    made: Made | Mapping[str, Made] | None = None,
     traces: Mapping[str, Traces] | None = None,
     project: Project | None = None,
     calibration: str | Path | None = None,
@@ -99,10 +96,9 @@ def write_results(
     Args:
         result: The result.
         directory: The folder; it must be new or empty, or hold earlier results.
+        known: What is known of it besides, see `sections`.
         name: Name of the result; by default its kind.
         force: Replace earlier results; files that a user added stay.
-        assessment: Assessment of a calibration, if known already.
-        ranking: Candidates that are ranked beside an `Identifiability`.
         timing_s: Wall time of further parts, added to those of the result [s].
         made: What it was computed from and with; of models that are compared by their
             names, in the order in which they were given. A calibration knows it.
@@ -124,47 +120,44 @@ def write_results(
             results folder.
     """
     if isinstance(result, CalibrationResult):
-        assessment = assessment or assess(result)
+        known = known or assess(result)
         notes = *result.notes, *notes
-    kind, command, bodies_of = _KINDS[type(result)]
-    texts, shown = {}, bodies_of(result)
+    kind = RESULT_KINDS[type(result)]
+    texts, shown = {}, kind.bodies(result)
     if isinstance(result, DesignResult):
         source = project and project.source
-        made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
+        made = Made(result.fit.model, {"loop": result.fit.settings}, source)
         printed = project and printed_project(project, result, Path(directory))
         texts = {"project.toml": printed} if printed else {}
-    data = export.result_dict(
+    data = result_dict(
         result,
+        known,
         name=name,
-        assessment=assessment,
-        ranking=ranking,
         timing_s=timing_s,
         made=made,
         directory=directory,
     )
     data["notes"] = notes
-    index = re.split("[./]", data["format"])[1]  # softcal_jax.result/2
-    if command in ("simulate", "inverse"):
+    if kind.command in ("simulate", "inverse"):
         values = calibration and SourceFile.of(Path(calibration))
-        data["calibration"] = values and export.file_dict(values, directory)
+        data["calibration"] = values and file_dict(values, directory)
     if shown is None:
-        words = (str(part) for part in (name, result, ranking) if part)
-        texts[f"{index}.txt"] = "\n\n".join(words) + "\n"
+        words = (str(part) for part in (name, result, known) if part)
+        texts[f"{kind.file}.txt"] = "\n\n".join(words) + "\n"
     else:
         posed = [{"name": p.name, "role": p.role} for p in shown.configurations]
         posed = data.get("configurations", posed)
         data["configurations"] = [{**entry, "files": []} for entry in posed]
-    known = {CalibrationResult: assessment, Identifiability: ranking}.get(type(result))
+    tables = {} if shown is None else csv_tables(shown.configurations)
     tree = sections(result, known)
     ready = {s.key: section_html(s) for s in tree if s.title and s.charts}
 
     def write(folder: Path, view: PageView | None = None, bodies: Sequence[str] = ()):
-        names = [REPORT, *texts]
         for file, content in texts.items():
             (folder / file).write_text(content, encoding="utf-8")
-        if shown is not None:
-            names += export.write_csv(folder, shown.configurations)
-        data["files"] = [*names, *bodies]
+        for file, table in tables.items():
+            write_csv(folder / file, table)
+        data["files"] = [REPORT, *texts, *tables, *bodies]
         pictures = [] if shown is None else pictures_of(data, folder, view)
         every = [
             *(section for section in tree if not section.title),
@@ -172,22 +165,22 @@ def write_results(
             *(s for s in tree if s.title and not s.folded and s.key != "notes"),
             *(section for section, _ in pictures),
             *(section for section in tree if section.folded),
-            *closing(command, data, options=options),
+            *closing(kind.command, data, options=options),
         ]
         whole = page(
             data["name"],
-            kind,
+            kind.words,
             every,
-            index=f"{index}.json",
-            units="SI" if command in ("design", "inverse") else "SI and mm",
+            index=f"{kind.file}.json",
+            units="SI" if kind.command in ("design", "inverse") else "SI and mm",
             drawn=ready | {section.key: drawn for section, drawn in pictures},
             robot=view and view.content,
             script=view.script if view else "",
         )
         (folder / REPORT).write_text(whole, encoding="utf-8")
-        export.write_json(folder / f"{index}.json", data)
+        write_json(folder / f"{kind.file}.json", data)
 
-    with export.results_folder(directory, force=force) as folder:
+    with results_folder(directory, force=force) as folder:
         write(folder)
     if shown is None:
         return Path(directory)
@@ -196,11 +189,73 @@ def write_results(
     remedy = with_remedy(kept, "free disk space, and run this again")
     draw = partial(_write_bodies, suffix=pictures, progress=progress, traces=traces)
     try:
-        with export.results_folder(directory, force=True) as folder, remedy:
+        with results_folder(directory, force=True) as folder, remedy:
             write(folder, *draw(folder, shown, data))
     except KeyboardInterrupt as error:
         raise KeyboardInterrupt(f"{kept}.") from error
     return Path(directory)
+
+
+def write_sweep(
+    result: SweepResult,
+    folder: str | os.PathLike[str],
+    *,
+    sweep: Sweep | None = None,
+    timing_s: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the page of a sweep beside its folder, whole or not at all.
+
+    Trials that failed or did not converge are in no mean or chart. With `sweep`, the
+    page also has settings, files with their SHA-256 and the command that repeats it.
+
+    Args:
+        result: The sweep, finished or not.
+        folder: That of its rows; the page of `sweep` is `sweep_report.html`.
+        sweep: The sweep file as it was loaded; None for a function of your own.
+        timing_s: Wall time per part [s].
+
+    Returns:
+        The page.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+        OSError: If the page cannot be written.
+    """
+    path, folder = check_sweep_page(folder), Path(folder)
+    made, files = None, []
+    if sweep is not None:
+        project = sweep.project
+        made = Made(project.model, sweep.settings, project.source)
+        files.append(file_dict(sweep.file, folder.parent))
+    data = plain({**made_dict(made, folder.parent), "timing_s": timing_s or {}})
+    data["files"] = [folder.name]
+    tree = [*sweep_page_sections(result), *closing("sweep", data, files=files)]
+    text = page(result.name, _SWEEP, tree, index=folder.name, units="SI")
+    with replacing(path) as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
+    return path
+
+
+def check_sweep_page(folder: str | os.PathLike[str]) -> Path:
+    """Raise unless the page of a sweep can be written; call it before a long run.
+
+    Returns:
+        Where it is written: beside the folder of the sweep.
+
+    Raises:
+        FileExistsError: If another file has the name of the page.
+    """
+    folder = Path(folder)
+    folder = folder if folder.name else folder.absolute()
+    path = folder.parent / f"{folder.name}_report.html"
+    head = path.read_bytes()[:200_000] if path.is_file() else b""
+    is_page = str(node("p", _SWEEP, class_="kind")).encode() in head
+    if path.exists() and not is_page:
+        raise FileExistsError(
+            f"{path} is not a page of a sweep and would be overwritten. Move it away, "
+            "or give the folder another name."
+        )
+    return path
 
 
 def notebook_html(result: object) -> str:
@@ -221,36 +276,6 @@ def notebook_html(result: object) -> str:
     )
     plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
     return node("div", *content, class_="softcal", style=plain)
-
-
-def _commanded(result: InverseResult | TrajectoryResult) -> SimulationResult:
-    """Describe the equilibrium of each command, to compare it with its goals."""
-    points = [result] if isinstance(result, InverseResult) else [*result.points]
-    poses = []
-    for number, point in enumerate(points, 1):
-        # On the host: on the device, each shape would compile a program.
-        solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
-        solved = simulation_result(point.model, [point.configuration], solution)
-        goals = tuple(fit.effector for fit in point.goals)
-        about = {"role": "command", "effectors": goals}
-        about["name"] = f"goal {number}" if len(points) > 1 else "command"
-        poses.append(replace(solved.configurations[0], **about))
-    return SimulationResult(points[0].model, tuple(poses))
-
-
-_Bodies = CalibrationResult | SimulationResult
-
-_KINDS: dict[type, tuple[str, str, Callable[[Any], _Bodies | None]]] = {
-    CalibrationResult: ("Calibration", "calibrate", lambda result: result),
-    SimulationResult: ("Simulation", "simulate", lambda result: result),
-    DesignResult: ("Design", "design", export.bodies_of),
-    InverseResult: ("Inverse control", "inverse", _commanded),
-    TrajectoryResult: ("Inverse control", "inverse", _commanded),
-    Identifiability: ("Identifiability", "identify", lambda _: None),
-    Ranking: ("Identifiability", "identify", lambda _: None),
-    ModelComparison: ("Comparison of models", "compare", lambda _: None),
-}
-"""What was done, as a page says it, the command that does it, and its equilibria."""
 
 
 def pictures_of(
@@ -293,7 +318,7 @@ def pictures_of(
 
 def _write_bodies(
     folder: Path,
-    result: _Bodies,
+    result: Bodies,
     data: dict[str, Any],
     *,
     suffix: Picture | None,
@@ -305,7 +330,7 @@ def _write_bodies(
     The configurations of `data` get theirs; its notes say which pictures are left out.
     """
     model, shown = result.model, result.configurations
-    stems = export.file_stems([pose.name for pose in shown])
+    stems = file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
     problem = rendering_problem() if suffix and moved else None
     if problem is not None:
@@ -325,11 +350,11 @@ def _write_bodies(
             written.append(f"{stem}.vtu")
             path = folder / written[-1]
             more = {"standard_errors": errors, "state": pose.robot}
-            export.write_vtu(path, model, pose.displacement, **more)
+            write_vtu(path, model, pose.displacement, **more)
             parts = model.mechanism.bodies.n_bodies + model.mechanism.n_actuators
             if pose.robot is not None and parts > 0:
                 written.append(f"{stem}_robot.vtu")
-                export.write_robot_vtu(folder / written[-1], model, pose.robot)
+                write_robot_vtu(folder / written[-1], model, pose.robot)
             bodies.append(list(written))
         if traces and pose.name in traces and suffix:
             written.append(f"{stem}_recording.{suffix}")
@@ -339,7 +364,7 @@ def _write_bodies(
             draw = partial(render_configuration, model, pose, converged=trusted)
             plots[written[-1]] = draw
     if bodies:
-        export.write_pvd(folder / COLLECTION, bodies)
+        write_pvd(folder / COLLECTION, bodies)
         files.append(COLLECTION)
     progress(0, len(plots))
     for done, (file, plot) in enumerate(plots.items(), start=1):

@@ -3,38 +3,24 @@
 import base64
 import hashlib
 import html
-import os
 import re
-import shlex
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
 
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._tree import MOST_REASONS, Chart, Section, Table, listed_texts
 from softcal_jax.plotting import PictureStyle
+from softcal_jax.results._made import COMMANDS
+from softcal_jax.results._tree import MOST_REASONS, Chart, Section, Table, listed_texts
 
-REPEATED = "repeated"  # folder that the command to repeat a run writes to
 _CHART, _SMALL = (PictureStyle(width, font_size=10.0) for width in (150.0, 100.0))
 _WIDE = 2  # most charts of a section that are as wide as the page
 _LARGE = 3  # most values that are written in large type
-_COMMANDS = "repeat"  # a section whose list is one of commands
 _MARKED = "A triangle marks values that should not be used as they are."
-_KINDS = {
-    ".vtu": "for ParaView",
-    ".pvd": "all configurations for ParaView",
-    ".png": "picture",
-    ".svg": "picture",
-    ".pdf": "picture",
-    ".csv": "table",
-    ".txt": "text",
-    ".html": "this page",
-}
 
 _VOID = {"br", "img", "input", "meta"}  # elements without content or an end
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -77,7 +63,7 @@ def _safe(text: str) -> str:
 
 def resource(name: str) -> str:
     """Read a file that pages are made of."""
-    return files("softcal_jax.report").joinpath(name).read_text("utf-8")
+    return files("softcal_jax.results").joinpath(name).read_text("utf-8")
 
 
 def template(file: str, /, **parts: str | Iterable[str]) -> Html:
@@ -100,7 +86,7 @@ def section_html(section: Section) -> Html:
     if len(alone) > 1 and not items:
         alone, items = [], alone
     content = [node("p", sentence) for sentence in alone]
-    if section.key == _COMMANDS:
+    if section.key == COMMANDS:
         content += [node("pre", node("code", line)) for line in items]
     else:
         content.append(bullets(items))
@@ -255,82 +241,3 @@ def _verdict_html(verdict: Section, most: int | None) -> Html:
         said.append(node("details", summary, bullets(more)))
     tone = f"verdict {verdict.tone}"
     return node("section", node("h2", "Verdict"), *said, class_=tone)
-
-
-def closing(
-    command: str,
-    data: Mapping[str, Any],
-    *,
-    files: Sequence[Mapping[str, str]] | None = None,
-    options: Sequence[str] = (),
-    out: str = REPEATED,
-) -> list[Section]:
-    """Write the last sections: the command that repeats a run, its files and settings.
-
-    The command reads the project files of `data`, as `made_dict` converts them, or, if
-    given, `files`, and writes `out`. A simulation also reads values of a calibration;
-    inverse control reads nothing else.
-    """
-    values = data.get("calibration")
-    if command == "inverse":
-        files = [values] if values else []
-    elif values:
-        options = ["--values", values["file"]]
-    every = data["sources"].values() if "sources" in data else [data["source"]]
-    known = [source for source in every if source is not None]
-    named = files or []
-    if files is None and len(known) == len(every):
-        named = [source["project"] for source in known]
-    text = ("This result was made in Python, so no command repeats it.",)
-    if named:
-        words = ["softcal", command, *(file["file"] for file in named), *options]
-        text = "In the folder of this page:", shlex.join([*words, "-o", out])
-    tables = []
-    for source in known if files is None else ():
-        rows = [(key, repr(value)) for key, value in source["changes"].items()]
-        of = f" of {source['project']['file']}" if len(known) > 1 else ""
-        heads = "key of the project file | value"
-        note = (
-            "These values of the project file were overridden when it was loaded. Set "
-            "them in the file, or pass them to load_project(changes=...)."
-        )
-        tables.append(Table.of(f"Changes{of}", heads, rows, note=note))
-    read = [*(files or ()), *(file for source in known for file in _files_of(source))]
-    rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
-    tables.append(Table.of("Input files", "file | SHA-256", rows))
-    made = "Settings, versions and times"
-    return [
-        Section(_COMMANDS, "How to repeat this run", text, (*tables,), folded=True),
-        Section("made", made, (), tuple(_made(data)), folded=True),
-    ]
-
-
-def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
-    """List a project file and the files that it names, relative to the results."""
-    project = source["project"]
-    folder = os.path.dirname(project["file"])
-    place = lambda file: Path(os.path.normpath(os.path.join(folder, file))).as_posix()
-    return [project, *({**f, "file": place(f["file"])} for f in source["files"])]
-
-
-def _made(data: Mapping[str, Any]) -> list[Table]:
-    """Tabulate settings, versions, times and files."""
-    parts = {
-        "Settings": dict(_flat(data.get("settings", {}))),
-        "Versions": data.get("versions", {}),
-        "Times": {k: f"{v:.2f} s" for k, v in data.get("timing_s", {}).items()},
-        "Files": {name: _KINDS.get(Path(name).suffix, "") for name in data["files"]},
-    }
-    return [
-        Table.of(title, " | ", [(k, str(v)) for k, v in rows.items()])
-        for title, rows in parts.items()
-    ]
-
-
-def _flat(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Name nested settings by their path, like newton.rtol."""
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{key}.")
-        else:
-            yield f"{before}{key}", "none" if value is None else value
