@@ -9,7 +9,6 @@ from problems import central_difference
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.bodies import rotation_matrix, rotation_vector
-from softcal_jax.bodies._kinematics import cross_matrix
 
 AXIS = np.array([0.36, -0.48, 0.8])
 # Both sides of the angle where a series takes over (0.01 in the matrix, 0.02 in the
@@ -53,9 +52,8 @@ def test_derivatives_at_zero():
     """dR = hat(w), and back: no division by the angle remains."""
     w = jnp.array([0.3, -1.2, 0.7])
     _, dR = jax.jvp(rotation_matrix, (jnp.zeros(3),), (w,))
-    np.testing.assert_array_equal(dR, cross_matrix(w))
-    np.testing.assert_allclose(cross_matrix(w) @ AXIS, np.cross(w, AXIS), atol=1e-15)
-    _, dw = jax.jvp(rotation_vector, (jnp.eye(3),), (cross_matrix(w),))
+    np.testing.assert_allclose(dR @ AXIS, np.cross(w, AXIS), atol=1e-15)
+    _, dw = jax.jvp(rotation_vector, (jnp.eye(3),), (dR,))
     np.testing.assert_allclose(dw, w, rtol=1e-15)
 
 

@@ -39,9 +39,9 @@ from softcal_jax.equilibrium import (
     Model,
     build_model,
     continue_equilibrium,
+    linearise,
     residual,
 )
-from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.materials import NeoHookean
 
 MESH = strip(6)

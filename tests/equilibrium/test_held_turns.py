@@ -22,10 +22,10 @@ from softcal_jax.equilibrium import (
     LoadPath,
     NewtonSettings,
     build_model,
+    linearise,
     solve_equilibrium,
     trace_equilibria,
 )
-from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -70,7 +70,7 @@ def from_rest(
 def frame_origin(model, lane, load):
     """Where the frame of the first body is held at a share of the load."""
     rest = jnp.zeros((model.n_points, 3))
-    there = Posed.of(model, lane).at_load(load).held_at(rest)
+    there = linearise(model, lane, rest).posed.at_load(load).held_at(rest)
     return model.positions(there)[model.mesh.n_nodes]
 
 

@@ -35,8 +35,7 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     ImposedForce,
 )
-from softcal_jax.equilibrium import EquilibriumSolution, build_model
-from softcal_jax.equilibrium._linearisation import linearise
+from softcal_jax.equilibrium import EquilibriumSolution, build_model, linearise
 from softcal_jax.materials import NeoHookean
 
 DENSITY, G = 1000.0, 9.81

@@ -6,8 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jaxtyping import Float
 
-from softcal_jax._typing import Array, Float
 from softcal_jax.fields._parameters import once
 
 CALLS = []
