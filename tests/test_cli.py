@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import pyvista
 from anisotropic_project import write_measured_project
-from small_project import write_small_project
+from small_project import sha256_of, write_small_project
 from wording import says
 
-from softcal_jax._files import sha256_of
-from softcal_jax.cli import _shared, main
+from softcal_jax.calibration import Evaluator
+from softcal_jax.cli import main
 from softcal_jax.export import RESULT_FORMAT, results_folder
 from softcal_jax.mistakes import Mistake
 from softcal_jax.robots import ready_made_path
@@ -157,19 +157,14 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     """So does SIGTERM, by which a scheduler ends a job; the checkpoint stands."""
     path = write_small_project(tmp_path)
     checkpoint = tmp_path / "fit.npz"
-    lines = _shared.step_lines
+    steps, evaluated = iter(range(1, 100)), Evaluator.__call__
 
-    def interrupted(project, show):
-        print_step = lines(project, show)
+    def interrupted(*args):
+        if next(steps) == 2:
+            signal.raise_signal(sent)
+        return evaluated(*args)
 
-        def progress(entry):
-            print_step(entry)
-            if entry.step == 1:
-                signal.raise_signal(sent)
-
-        return progress
-
-    monkeypatch.setattr(_shared, "step_lines", interrupted)
+    monkeypatch.setattr(Evaluator, "__call__", interrupted)
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
     command.append("--no-pictures")
     assert main(command) == 130
@@ -481,9 +476,7 @@ def interrupt(*args, **options):
 
 
 def stop_at_the_first_solve(monkeypatch):
-    from softcal_jax.calibration import _fit
-
-    monkeypatch.setattr(_fit.Evaluator, "from_rest", interrupt)
+    monkeypatch.setattr(Evaluator, "from_rest", interrupt)
 
 
 def test_demo_writes_its_project(tmp_path, capsys):

@@ -38,6 +38,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import (
+    KINDS,
     AbstractEntry,
     Parameter,
     ParameterSpace,
@@ -56,7 +57,6 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.fields._setup import KINDS, setup_parameters
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
@@ -120,6 +120,12 @@ POSE = Configuration(
 )
 PLAIN = Configuration("plain", "x_min", markers=MARKERS, measured=MARKERS.positions)
 KNOWN = {"prior_std": None}
+
+
+def factor(name, value):
+    return Parameter(name, "", value, 0.5 * value, 2.0 * value)
+
+
 SPACE = ParameterSpace(
     (
         Parameter("E", "E", 5e5, 1e5, 2e6),
@@ -127,8 +133,8 @@ SPACE = ParameterSpace(
         motor_zero("m", limit=0.2, **KNOWN),
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
         *mounting("table", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
-        *setup_parameters(KINDS["body_mass"], "base", nominal=0.02, limit=2.0, **KNOWN),
-        *setup_parameters(KINDS["contact_scale"], nominal=0.2, limit=2.0, **KNOWN),
+        SetupParameter("body_mass", "base", [factor("mass of base", 0.02)]),
+        SetupParameter("contact_scale", "", [factor("scale of contact", 0.2)]),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
         load_factor("payload", **KNOWN),
