@@ -44,8 +44,9 @@ def _write(tmp_path, mesh, suffix, **options):
     return path
 
 
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize(
+    ("name", "order"), [*((name, 2) for name in FORMATS), ("med", 1), ("abaqus", 1)]
+)
 def test_round_trip(tmp_path, name, order, capfd):
     suffix, options = FORMATS[name]
     if suffix == ".med":
@@ -489,14 +490,14 @@ def test_med_families_and_numbering(tmp_path):
 
 
 def test_unlikely_unit(tmp_path):
-    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".vtu")
+    path = _write(tmp_path, meshio.Mesh(BEAM.points, [("tetra", BEAM.tets)]), ".inp")
     with pytest.warns(MeshWarning, match=r"0\.000106 m across.*in 'mm'"):
         read_mesh(path, length_unit="mm")
 
 
 def test_millimetres_that_are_read_as_metres_are_told_once(tmp_path):
     raw = meshio.Mesh(1e3 * BEAM.points, [("tetra", BEAM.tets)])
-    path, law = _write(tmp_path, raw, ".vtu"), NeoHookean(1e5, 0.3)
+    path, law = _write(tmp_path, raw, ".inp"), NeoHookean(1e5, 0.3)
     with pytest.warns(MeshWarning) as caught:
         build_model(read_mesh(path, length_unit="m"), law, density=1.0, solver="none")
     (warning,) = caught

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import both_ways, lane_of
+from problems import lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -216,23 +216,6 @@ def test_direct_and_adjoint_side_agree():
     scale = np.abs(W).max(axis=0) + IDLE
     assert np.max(np.abs(adjoint.W_ep - W) / scale) < 1e-8
     assert adjoint.displacement is None
-
-
-# Twenty seconds of compiling. Every kind is compared with differences above, and other
-# files differentiate equilibria of bodies and actuators both ways.
-@pytest.mark.slow
-def test_forward_equals_reverse():
-    """Of the equilibrium itself, differentiated by JAX through every kind."""
-    z, W = point(), compliance().W_ep
-    tangent = jnp.asarray(np.random.default_rng(0).normal(size=W.shape[1]))
-    cotangent = jnp.asarray(np.random.default_rng(1).normal(size=W.shape[0]))
-    _, e_dot, pulled = both_ways(lambda z: values(z)[0])(z, tangent, cotangent)
-    np.testing.assert_allclose(
-        e_dot, W @ tangent, rtol=0, atol=1e-8 * np.abs(e_dot).max()
-    )
-    np.testing.assert_allclose(
-        jnp.vdot(pulled, tangent), jnp.vdot(cotangent, e_dot), rtol=1e-8
-    )
 
 
 def test_energy_compliance_is_symmetric_and_positive():
