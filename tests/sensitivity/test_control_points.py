@@ -1,7 +1,6 @@
 """Sensitivities to the values at control points, mixed in every way."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from softcal_jax.materials import Corotational, Fibre, TransverseIsotropic
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
     parameter_compliance,
-    parameter_forces,
 )
 
 # Equilibria to rounding, so that differences show their own error.
@@ -98,19 +96,6 @@ def at_start(body, space):
 
 def test_names(space):
     assert space.names == NAMES
-
-
-forces = jax.jit(parameter_forces, static_argnames="step")
-
-
-def test_forces_by_autodiff_and_by_differences_agree(body, space, at_start):
-    model, lane = body
-    z, u, _ = at_start
-    exact = np.asarray(forces(model, lane, u, space, z))
-    difference = np.asarray(forces(model, lane, u, space, z, step=6e-6))
-    # The rounding of a difference with the step that balances it with its error.
-    scale = np.abs(exact).max(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(difference / scale, exact / scale, rtol=0, atol=1e-7)
 
 
 def test_marker_positions_meet_differences_of_the_equilibrium(body, space, at_start):
