@@ -218,6 +218,32 @@ def test_direct_and_adjoint_side_agree():
     assert adjoint.displacement is None
 
 
+def test_both_sides_know_of_a_displacement_that_is_imposed():
+    """Its rows are of the cable's own unknown, its tension, and not of forces."""
+    cable = Cable("c", [(0.03, 0.01, 0.02), (0.07, 0.01, 0.015)])
+    model = build_model(MESH, NeoHookean(5e5, 0.3), density=1e3, actuators=[cable])
+    pose = Configuration(
+        "pose",
+        "x_min",
+        markers=MARKERS,
+        measured=MARKERS.positions,
+        effectors=(ActuatorForce("tension", "c", 0.0),),
+        actuation={"c": ImposedDisplacement(1e-3)},
+        recording="tuesday",
+    )
+    lane = lane_of(configuration_arrays(MESH, [pose], model.mechanism))
+    pulled = command("c", {"tuesday": 1e-3}, {"tuesday": (0.0, 2e-3)}, unit="m")
+    space = ParameterSpace((SPACE.entries[0], pulled))
+    still = jnp.zeros((model.n_points, 3))
+    direct, adjoint = (
+        parameter_compliance(model, lane, still, space, space.start(), method=method)
+        for method in ("direct", "adjoint")
+    )
+    by_command = np.asarray(direct.W_ep)[:, 1]
+    assert np.count_nonzero(np.abs(by_command) > 1e-6) >= 3  # markers and the tension
+    np.testing.assert_allclose(adjoint.W_ep[:, 1], by_command, rtol=1e-8, atol=1e-12)
+
+
 def test_energy_compliance_is_symmetric_and_positive():
     W = np.asarray(compliance().W_pp)
     assert bool(compliance().ok)
