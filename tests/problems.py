@@ -334,6 +334,18 @@ def central_difference(function, x, tangent, h):
     return jax.tree.map(lambda p, m: (p - m) / (2.0 * h), plus, minus)
 
 
+def assert_second_order(function, x, tangent, derivative, steps, rtol=0.05):
+    """Fail unless central differences miss a derivative by an error of second order.
+
+    That of two steps then is as their squares, up to terms of fourth order.
+    """
+    coarse, fine = (
+        np.max(np.abs(central_difference(function, x, tangent, h) - derivative))
+        for h in steps
+    )
+    np.testing.assert_allclose(coarse / fine, (steps[0] / steps[1]) ** 2, rtol=rtol)
+
+
 class BothWays(NamedTuple):
     """A function's value, its derivative along a tangent, and its pull-back."""
 

@@ -7,8 +7,8 @@ octahedron between them along its shortest diagonal (Bey, Computing 55, 1995).
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Int
 
-from softcal_jax._typing import HostArray, Int
 from softcal_jax.elements import TET_EDGES, shape_functions
 from softcal_jax.mesh import TetMesh, to_quadratic
 
@@ -50,7 +50,7 @@ def refine(mesh: TetMesh) -> TetMesh:
     return replace(fine, points=points)
 
 
-def _split(mesh: TetMesh) -> tuple[TetMesh, Int[HostArray, "n_finer_tets 4"]]:
+def _split(mesh: TetMesh) -> tuple[TetMesh, Int[np.ndarray, "n_finer_tets 4"]]:
     """Split quadratic tets into eight linear ones, and return their local nodes."""
     ends = mesh.points[mesh.tets[:, np.array(list(_AROUND))]]
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)

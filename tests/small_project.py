@@ -5,6 +5,7 @@ whose frame is turned and shifted, and a tip marker that was glued 1 mm off: E c
 only if the registration, the displacements, the loads and the units are all right.
 """
 
+from hashlib import sha256
 from pathlib import Path
 
 E_TRUE = 300e3
@@ -98,3 +99,8 @@ def write_small_project(folder: Path, *changes: tuple[str, str]) -> Path:
     path = folder / "project.toml"
     path.write_text(text)
     return path
+
+
+def sha256_of(path) -> str:
+    """The hash by which results name a file."""
+    return sha256(Path(path).read_bytes()).hexdigest()

@@ -2,19 +2,19 @@
 
 import json
 import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_project import write_small_project
+from small_project import sha256_of, write_small_project
 from test_page import Read, check_page
 from wording import says
 
-from softcal_jax._files import sha256_of
-from softcal_jax.calibration import _runs
-from softcal_jax.cli import _calibrated, main
+from softcal_jax.calibration import Evaluator
+from softcal_jax.cli import main
 from softcal_jax.control import sample_workspace
 from softcal_jax.equilibrium import solve_equilibrium
-from softcal_jax.fields import load_factor
+from softcal_jax.fields import ParameterSpace, load_factor
 from softcal_jax.results import load_result
 
 PUSH = """\
@@ -145,14 +145,14 @@ def test_a_damaged_state_is_named(calibrated, tmp_path, capsys):
 
 
 def test_sigterm_writes_the_best_so_far(calibrated, tmp_path, capsys, monkeypatch):
-    count, decide = iter(range(2)), _runs.decide
+    steps, evaluated = iter(range(1, 100)), Evaluator.__call__
 
-    def decided(*args):
-        if next(count) == 1:
+    def interrupted(*args):
+        if next(steps) == 2:
             signal.raise_signal(signal.SIGTERM)
-        return decide(*args)
+        return evaluated(*args)
 
-    monkeypatch.setattr(_runs, "decide", decided)
+    monkeypatch.setattr(Evaluator, "__call__", interrupted)
     more = ["--goal", "tip=(-, -, 8) mm", "--limit", "push=0 N to 1 N"]
     assert run(calibrated, tmp_path / "out", *WEIGHT, *more) == 130
     assert says(capsys.readouterr().err, "interrupted", "best actuation so far")
@@ -231,9 +231,14 @@ def test_bad_input(calibrated, tmp_path, capsys, more, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_value_of_the_configurations_is_refused(calibrated):
+def test_a_value_of_the_configurations_is_refused(
+    calibrated, tmp_path, capsys, monkeypatch
+):
     """A load factor says nothing of a command that is not one of the recordings."""
-    space = load_result(calibrated / "out").space
-    entry = load_factor("weight", prior_std=None)
-    with pytest.raises(ValueError, match="load factor of weight"):
-        _calibrated._check_parameters(type(space)((*space.entries, entry)))
+    loaded = load_result(calibrated / "out")
+    entries = *loaded.space.entries, load_factor("weight", prior_std=None)
+    of_loads = SimpleNamespace(project=loaded.project, space=ParameterSpace(entries))
+    monkeypatch.setattr("softcal_jax.results.load_result", lambda *_, **__: of_loads)
+    more = ["--goal", "tip=(-, -, 8) mm"]
+    assert run(calibrated, tmp_path / "out", *WEIGHT, *more) == 2
+    assert says(capsys.readouterr().err, "load factor of weight")

@@ -1,6 +1,7 @@
 """`softcal new`: ready-made robots, and projects for a mesh, with markers or none."""
 
 import tomllib
+from ast import literal_eval
 
 import numpy as np
 import pytest
@@ -11,11 +12,9 @@ from wording import says
 from softcal_jax.cli import main
 from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal import propose_project
-from softcal_jax.exchange.proposal._body import read_body
 from softcal_jax.identifiability import assess
 from softcal_jax.mesh import TetMesh, beam, face_areas, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.project._quantities import parse_vector
 from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
@@ -372,8 +371,8 @@ def test_cavities_and_long_holes_of_a_cad_model_are_actuated(tmp_path, capsys):
     assert says(remarks["[groups.air_opening]"], "opens (face 1)")
     assert says(remarks["surface"], "open cavity (faces")
     actuators = tomllib.loads(project.path.read_text())["actuators"]
-    guides = [parse_vector(guide, "m") for guide in actuators["cable"]["guides"]]
-    x, *across = 1e3 * np.transpose(guides)
+    guides = [literal_eval(g.removesuffix(" mm")) for g in actuators["cable"]["guides"]]
+    x, *across = np.transpose(guides)
     np.testing.assert_allclose(across, np.repeat([[7.0], [3.0]], len(x), 1), atol=0.01)
     np.testing.assert_allclose(sorted(x)[:: len(x) - 1], [1.0, 59.0], atol=0.05)
 
@@ -425,8 +424,8 @@ def test_two_tets_across_the_thinnest_wall_are_proposed(tmp_path):
     with models.modelled(tmp_path / "thick.step") as shape:
         shape.addBox(0, 0, 0, 30, 8, 8)
     thin, thick = (
-        read_body(tmp_path / name, size=None, length_unit=None)
-        for name in ("thin.step", "thick.step")
+        propose_project(tmp_path / f"{name}.step", tmp_path / name).body
+        for name in ("thin", "thick")
     )
     assert thin.size == "1.2 mm"
     assert says(thin.why, "wall, 2.4 mm at face", f"{thin.mesh.n_tets} tets")

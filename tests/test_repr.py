@@ -14,7 +14,6 @@ from from_code import packages, public_names
 from robot_project import write_robot_project
 
 import softcal_jax as sc
-from softcal_jax._module import Module
 from softcal_jax.calibration import CalibrationSettings, ParameterInterval
 from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import Limits
@@ -35,7 +34,7 @@ def public_classes():
     return [
         cls
         for cls in classes
-        if issubclass(cls, Module) and not cls.__name__.startswith("Abstract")
+        if issubclass(cls, eqx.Module) and not cls.__name__.startswith("Abstract")
     ]
 
 

@@ -71,6 +71,7 @@ from softcal_jax.calibration._step import (
     FLAT as FLAT,
     OUTSIDE as OUTSIDE,
     CalibrationState as CalibrationState,
+    decide as decide,
     initial_state as initial_state,
     propose as propose,
 )

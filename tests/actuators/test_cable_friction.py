@@ -16,7 +16,7 @@ from actuator_programs import (
     curvature_entries,
     curvature_times,
 )
-from problems import central_difference
+from problems import assert_second_order
 
 from softcal_jax.actuators import (
     ActuatorArrays,
@@ -157,11 +157,7 @@ def test_displacement_rows_meet_differences_at_second_order(robot):
     tangent = np.random.default_rng(0).normal(size=x.shape)
     exact = np.sum(geometric(arrays, x) * tangent[None], axis=(1, 2))
     delta = lambda x: displacements(arrays, x)
-    coarse, fine = (
-        np.max(np.abs(central_difference(delta, x, tangent, h) - exact))
-        for h in (1e-3, 1e-4)
-    )
-    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+    assert_second_order(delta, x, tangent, exact, (1e-3, 1e-4), rtol=0.02)
 
 
 @pytest.mark.parametrize("releasing", [False, True])
@@ -174,11 +170,7 @@ def test_tangent_meets_differences_at_second_order_and_is_not_symmetric(
     lambda_a = np.array([0.7, 2.5])
     exact = curvature_times(arrays, x, lambda_a, tangent)
     force = lambda x: np.sum(lambda_a[:, None, None] * forces(arrays, x), axis=0)
-    coarse, fine = (
-        np.max(np.abs(central_difference(force, x, tangent, h) - exact))
-        for h in (1e-3, 1e-4)
-    )
-    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+    assert_second_order(force, x, tangent, exact, (1e-3, 1e-4), rtol=0.02)
     entries = curvature_entries(arrays, jnp.asarray(x), jnp.asarray(lambda_a))
     K = np.asarray(entries[1])[0]
     assert np.max(np.abs(K - K.T)) > 0.01 * np.max(np.abs(K))
@@ -192,11 +184,7 @@ def test_derivative_by_friction(robot):
     mu, one = jnp.asarray(np.array(MU)), jnp.asarray(np.array(1.0))
     exact = np.asarray(jax.jvp(traced, (mu,), (one,))[1])
     assert not np.any(exact[0])
-    coarse, fine = (
-        np.max(np.abs(central_difference(force, MU, 1.0, h) - exact))
-        for h in (1e-2, 1e-3)
-    )
-    np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
+    assert_second_order(force, MU, 1.0, exact, (1e-2, 1e-3), rtol=0.02)
 
 
 def test_straight_cable_and_collapsed_segments_have_no_nan():

@@ -12,10 +12,9 @@ from benchmarks._printed import Printed
 from benchmarks._problem import Goal, Options
 from benchmarks._wrong_models import DOWN, Wrong
 from softcal_jax.calibration import calibrate
-from softcal_jax.calibration._result import IntervalKind
 
 
-def interval(lower, upper, turn=0.0, kind: IntervalKind = "first-order"):
+def interval(lower, upper, turn=0.0, kind: Any = "first-order"):
     return Printed("p", lower, upper, kind, turn)
 
 
@@ -33,7 +32,7 @@ def test_an_axis_is_counted_modulo_half_a_turn():
     assert axis.off(np.deg2rad(-86.0)) == pytest.approx(1.5)
 
 
-def truth_trial(number, offs, identified=True, kind: IntervalKind = "first-order"):
+def truth_trial(number, offs, identified=True, kind: Any = "first-order"):
     """Intervals of half-width one about `offs`, where the truth is zero."""
     return random_truths.Trial(
         layout="beam",

@@ -35,7 +35,6 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
 from softcal_jax.unknowns import noise_columns, unknowns
-from softcal_jax.unknowns._unknowns import Unknown, where_shared
 
 calibrate = partial(calibrate_with, intervals=None)
 
@@ -478,20 +477,10 @@ def test_linear_tets_know_how_far_off_they_are():
 
 def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     """Another clamp there gives no group here."""
-    scope = (b"left", b"right")
-    clamps = Unknown("clamp", "clamp", None, 1e-3, "considered", scope)
-    mesh = Unknown("mesh", "refinement", None, 1.0, "considered", ("", ""))
-    three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
-    columns = np.stack([three(1.0, 2.0), three(3.0, 4.0)])
-    shared = lambda n: where_shared((clamps, mesh), columns, n, np.ones((2, 1, 3)))
-    both = shared(1)
-    first = both.only(np.arange(6) < 3)
-    assert dict(zip(first.causes, first.names, strict=True)) == {
-        "clamp": "clamp",
-        "mesh": "refinement",
-    }
-    np.testing.assert_array_equal(first.values, np.tile([1.0, 3.0], (3, 1)))
-    # The other has a clamp of its own.
-    second = both.only(np.arange(6) >= 3)
-    np.testing.assert_array_equal(second.values, np.tile([2.0, 4.0], (3, 1)))
-    assert shared(2).names == ("clamp in group 1", "clamp in group 2", "refinement")
+    other = replace(ON_PLAIN, name="other", supports=(Support("x_max"),))
+    fitted, held_out = simulated_measurements(PLAIN, [ON_PLAIN, other])
+    result = calibrate(
+        PLAIN, WIDE, fitted, validation=held_out, noise="stated", uncertain=SAME_MESH
+    )
+    assert "clamp" in names(result)
+    assert names(result) == names(plain_fit())

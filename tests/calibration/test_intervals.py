@@ -15,11 +15,11 @@ from scipy.stats import t
 from softcal_jax.calibration import (
     LowerCostFound,
     ParameterInterval,
+    build_problem,
     calibrate as calibrate_with,
     profile_ends,
     profile_intervals,
 )
-from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import minimise
 from softcal_jax.fields import ParameterSpace, Pin, exactly_known

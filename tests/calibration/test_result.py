@@ -19,8 +19,7 @@ from softcal_jax.calibration._notes import _rounding_notes
 from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 from softcal_jax.identifiability import assess
 from softcal_jax.inference import LackOfFit, Uncertainty
-from softcal_jax.plotting import draw_errors
-from softcal_jax.plotting._configuration import motion_words
+from softcal_jax.plotting import draw_errors, motion_words
 from softcal_jax.results import held_out_sentences
 from softcal_jax.results._html import chart_html
 from softcal_jax.results._poses import error_charts

@@ -13,27 +13,22 @@ from wording import says
 
 from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
+    FROM_ANYWHERE,
     Evaluator,
     MultiStartResult,
     Optimum,
+    Run,
     build_problem,
     calibrate,
     evaluate,
+    images_of,
+    initial_state,
     multi_start,
+    run_start,
 )
 from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.calibration._runs import (
-    Basin,
-    Run,
-    better,
-    images_of,
-    leads_to,
-    not_begun,
-    run_start,
-    wanted,
-)
-from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima, search
-from softcal_jax.calibration._step import initial_state
+from softcal_jax.calibration._runs import Basin, better, leads_to, not_begun, wanted
+from softcal_jax.calibration._starts import _optima, search
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import (
     ControlPointParameters,

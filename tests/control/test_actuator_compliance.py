@@ -36,48 +36,12 @@ DRIVES = {
 HANGING = (2.0, 0.0, -0.5)
 """Gravity along the arm: stable with its motor free, too."""
 
-UNITS = jnp.array([0.1, 0.1, 0.1])
-
 
 def driven_by(drive):
     configuration = arrays(pose(HANGING, effectors=EFFECTORS, **DRIVES[drive]))
     solution, state = solved(arm(), configuration, configuration.actuation.value)
     assert solution.converged
     return configuration, state, actuator_compliance(arm(), configuration, solution)
-
-
-# Of actuators of all kinds, they are in test_compliance_of_all_kinds.py.
-@pytest.mark.slow
-@pytest.mark.parametrize("drive", ["tensions and an angle", "shortenings and a torque"])
-def test_responses_meet_differences_at_second_order(drive):
-    """Of effectors, forces and displacements, along each input."""
-    configuration, state, response = driven_by(drive)
-    by_input = [
-        response.W_ea.reshape(*state.effectors.shape, -1),
-        response.by_force,
-        response.by_displacement,
-    ]
-    for one, other in zip(*map(jax.tree.leaves, (response.state, state)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
-    value, errors = configuration.actuation.value, []
-    # Inputs differ in size: N, N m, rad and m.
-    units = jnp.where(jnp.abs(value) < 0.01, 0.02 * UNITS, UNITS)
-    for h in (1e-1, 1e-2):
-        worst = []
-        for a in range(3):
-            step = jnp.zeros(3).at[a].set(h * units[a])
-            (_, up), (_, down) = (
-                solved(arm(), configuration, value + sign * step) for sign in (1, -1)
-            )
-            for high, low, exact in zip(
-                jax.tree.leaves(up), jax.tree.leaves(down), by_input, strict=True
-            ):
-                difference = (high - low) / (2.0 * h * units[a])
-                scale = np.max(np.abs(exact[..., a]))
-                worst.append(np.max(np.abs(difference - exact[..., a])) / scale)
-        errors.append(max(worst))
-    # A tenfold smaller step leaves a hundredth of the error.
-    np.testing.assert_allclose(errors[0] / errors[1], 100.0, rtol=0.05)
 
 
 def test_W_aa_is_symmetric_positive_definite():

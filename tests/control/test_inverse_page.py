@@ -47,8 +47,9 @@ def met():
 
 @pytest.fixture(scope="module")
 def missed():
-    """So little tension bends it by much less."""
-    return searched(1.2, top=Limits(force=(0.0, 0.2)), motor=Limits(step=0.0))
+    """So little tension and so small a turn bend it by much less."""
+    turn = Limits(displacement=(0.0, 0.15))
+    return searched(1.2, top=Limits(force=(0.0, 0.2)), motor=turn)
 
 
 def check_actuators(rows, data):

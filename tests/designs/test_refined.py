@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Float
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Cable
 from softcal_jax.configurations import Configuration, ImposedForce, Markers
 from softcal_jax.control import Limits
@@ -32,7 +32,7 @@ ORDER = 2
 ROOM = 1.5
 """Factor for what is not of this order yet, with one cell across: found up to 1.32."""
 
-Heights = Float[HostArray, "n_configurations n_markers"]
+Heights = Float[np.ndarray, "n_configurations n_markers"]
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +91,7 @@ def curve(name: str, bend: float) -> Configuration:
     )
 
 
-def reached(made: DesignResult, across: int, z: Any = None) -> HostArray:
+def reached(made: DesignResult, across: int, z: Any = None) -> np.ndarray:
     """Heights of the markers on a mesh, with the fields and tensions of a design."""
     z = jnp.asarray(made.fit.z if z is None else z)
     model = made.fit.space.model_at(finger(across), z)
@@ -113,7 +113,7 @@ def seen() -> Seen:
     return Seen(made, wanted, own, fine, error=(own - coarse) / (2.0**ORDER - 1.0))
 
 
-def explained(seen: Seen, fine: HostArray) -> bool:
+def explained(seen: Seen, fine: np.ndarray) -> bool:
     """Whether goals shift by three quarters of the error, to within a factor."""
     share = (fine - seen.own) / seen.error
     expected = 1.0 - 0.5**ORDER

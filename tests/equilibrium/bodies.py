@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
 
-from softcal_jax._compilation_cache import HAS_OLDER_CODE
-from softcal_jax._lanes import stacked
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import (
     Model,
@@ -29,10 +27,14 @@ TIGHT = NewtonSettings(rtol=1e-12)
 
 
 # Compiled as a user has it who has not called `use_compilation_cache`: as by it, and as
-# in other tests, a batch differs from its members in the last bit.
+# in other tests, a batch differs from its members in the last bit. Later versions of
+# XLA do not know the option.
+OLDER = jax.__version_info__ < (0, 11, 1)
+
+
 @partial(
     jax.jit,
-    compiler_options={"xla_cpu_use_fusion_emitters": True} if HAS_OLDER_CODE else {},
+    compiler_options={"xla_cpu_use_fusion_emitters": True} if OLDER else {},
 )
 def _as_users(model, lanes, settings):
     one = partial(solve_equilibrium, settings=settings)
@@ -42,7 +44,8 @@ def _as_users(model, lanes, settings):
 def solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
     """All lanes of a batch, by the program that scripts and calibrations share."""
     one = partial(solve_equilibrium, model, settings=settings)
-    return stacked([one(lane(lanes, i)) for i in range(len(lanes))])
+    alone = [one(lane(lanes, i)) for i in range(len(lanes))]
+    return jax.device_put(jax.tree.map(lambda *same: np.stack(same), *alone))
 
 
 def solve_as_users(model, lanes, settings=NewtonSettings()):  # noqa: B008
@@ -83,6 +86,15 @@ def factor_solve(model, configuration, u, rhs, *, transpose=False):
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
     solved = lin.solve(jax.vmap(lin.free)(rhs), gap, transpose=transpose)
     return solved._replace(x=lin.scatter(solved.x))
+
+
+def times(sparsity, values, v):
+    """K v of a matrix of which the upper triangle is stored, or all of it."""
+    rows, columns = sparsity.rows, sparsity.indices
+    Kv = jnp.zeros_like(v).at[rows].add(values * v[columns])
+    if not sparsity.symmetric:
+        return Kv
+    return Kv.at[columns].add(jnp.where(rows == columns, 0.0, values) * v[rows])
 
 
 def stiffness(model: Model, u) -> np.ndarray:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import softcal_jax as sc
-from softcal_jax.equilibrium._linear_solver import Pardiso
 
 LANES = (1, 2, 3, 5)
 
@@ -123,7 +122,7 @@ def test_any_number_of_lanes_gives_what_vmap_gives(on_two):
 
 def test_each_device_has_factors_of_its_own(on_two, model):
     """Lanes take turns on the devices; what runs beside them has the model's own."""
-    if not isinstance(model.solver, Pardiso):
+    if "mkl" not in model.solver.name:
         pytest.skip("another solver on this platform, which keeps no factors")
     own, first, second, *others = on_two["handles"]
     assert len({own, first, second}) == 3
@@ -164,7 +163,7 @@ def test_one_device_is_vmap(model):
     found = sc.map_lanes(scaled, model, lanes, 4.0)
     np.testing.assert_array_equal(found["twice"], [0.0, 2.0, 4.0])
     np.testing.assert_array_equal(found["all"], np.full((3, 2), 4.0))
-    if isinstance(model.solver, Pardiso):
+    if "mkl" in model.solver.name:
         assert model.solver.devices is None
 
 

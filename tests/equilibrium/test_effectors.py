@@ -1,12 +1,10 @@
 """Effectors of every kind, and how they follow the parameters."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanisms import LENGTH, SIDE, TIGHT, arrays, positions, solved, strip
-from problems import both_ways
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.actuators import Cable, Guide, Motor
@@ -23,11 +21,9 @@ from softcal_jax.configurations import (
     Markers,
     SupportReaction,
 )
-from softcal_jax.equilibrium import build_model, effector_values, solve_equilibrium
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.equilibrium import build_model
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh
-from softcal_jax.sensitivity import parameter_compliance
 
 MIDDLE = SIDE / 2
 MESH = strip(6)
@@ -60,14 +56,7 @@ EFFECTORS = (
     SupportReaction("tip", "at 6"),
 )
 # Points: two markers, frame, centroid; a turn; three scalars; two forces; reactions.
-TURN, SCALARS, LAMBDA, REACTION = 4, slice(5, 8), slice(8, 10), 10
-SPACE = ParameterSpace(
-    (
-        Parameter("E", "E", 3e5, 1e4, 1e6),
-        Parameter("nu", "nu", 0.3, 0.0, 0.45, scale="linear", S=1.0),
-        Parameter("rho", "density", 1e3, 1e2, 1e4),
-    )
-)
+TURN, SCALARS, REACTION = 4, slice(5, 8), 10
 
 
 def watched(cable, effectors=EFFECTORS):
@@ -128,66 +117,6 @@ def test_reactions_balance_all_loads(cable):
     pull = values[8, 0] * along / np.linalg.norm(along)
     total = values[REACTION] + values[REACTION + 1]
     np.testing.assert_allclose(total, -weight - pull, rtol=0, atol=1e-9)
-
-
-@both_ways
-def effectors(z, lane):
-    """Displacement at the equilibrium, and the effectors there."""
-    model = SPACE.model_at(MODEL, z)
-    u = solve_equilibrium(model, lane, settings=TIGHT).displacement
-    return u, effector_values(model, lane, u).ravel()
-
-
-@jax.jit
-def compliance(z, lane, u):
-    return parameter_compliance(SPACE.model_at(MODEL, z), lane, u, SPACE, z).W_ep
-
-
-# Half a minute of compiling: `test_compliance_of_all_kinds` takes differences of these
-# effectors, and other tests compare compliances with the implicit derivative.
-@pytest.mark.slow
-@pytest.mark.parametrize("cable", [BY_FORCE, BY_DISPLACEMENT])
-def test_parameter_compliance_of_all_kinds_of_effectors(cable):
-    """W_ep meets the implicit derivative, and that meets differences."""
-    lane, z = arrays(MODEL, watched(cable)), SPACE.start()
-    still = jnp.zeros((MODEL.n_points, 3)), jnp.zeros(lane.effectors.measured.size)
-    along = [effectors(z, dz, still, lane) for dz in jnp.eye(3)]
-    W = compliance(z, lane, along[0].value[0])
-    slopes = jnp.stack([way.forward[1] for way in along], axis=1)
-    # The same linear systems, in another order of sums; what is imposed has rows of
-    # zeros, where only rounding is left.
-    scale = np.abs(W).max(axis=1, keepdims=True) + 1e-9
-    np.testing.assert_allclose(W / scale, slopes / scale, rtol=0, atol=1e-9)
-    rows = np.abs(np.asarray(W)).reshape(-1, 3, 3).max(axis=(1, 2))
-    imposed = [6, *([5] if isinstance(cable, ImposedDisplacement) else [8])]
-    assert np.all(rows[imposed] < 1e-10)  # what is imposed follows no parameter
-    assert np.all(np.delete(rows, imposed) > 1e-6)
-    error = []
-    for h in (0.04, 0.02):
-        columns = []
-        for dz in h * jnp.eye(3):
-            ahead, behind = (
-                effectors(z + step, dz, still, lane).value[1] for step in (dz, -dz)
-            )
-            columns.append((ahead - behind) / (2 * h))
-        error.append(np.abs(np.stack(columns, axis=1) - slopes).max(axis=0))
-    # Half the step leaves a quarter of the error, up to terms of fourth order.
-    np.testing.assert_allclose(error[0] / error[1], 4.0, rtol=0.03)
-
-
-@pytest.mark.slow  # half a minute of compiling
-def test_adjoint_side():
-    """Of forces of actuators and of reactions, too."""
-    lane, z = arrays(MODEL, watched(BY_DISPLACEMENT)), SPACE.start()
-    solution, _, _ = solved(MODEL, watched(BY_DISPLACEMENT), TIGHT)
-    of = eqx.filter_jit(parameter_compliance)
-    direct, adjoint = (
-        of(MODEL, lane, solution.displacement, SPACE, z, method=method).W_ep
-        for method in ("direct", "adjoint")
-    )
-    # Effectors differ in size and unit.
-    scale = np.abs(direct).max(axis=-1, keepdims=True) + 1e-7
-    np.testing.assert_allclose(direct / scale, adjoint / scale, rtol=0, atol=1e-10)
 
 
 def bad(message, *effectors, mesh: TetMesh = MESH):

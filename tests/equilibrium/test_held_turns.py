@@ -3,7 +3,6 @@
 In pure bending a straight beam becomes an arc of constant length, whatever its law.
 """
 
-from dataclasses import replace
 from functools import cache
 from typing import ClassVar
 
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanisms import NO_GRAVITY, TIGHT, arrays, solve
-from problems import central_difference, nearest_node
+from problems import nearest_node
 
 from softcal_jax.actuators import AbstractActuator, Kind, Motor
 from softcal_jax.bodies import Pose, RigidBody
@@ -22,10 +21,9 @@ from softcal_jax.equilibrium import (
     LoadPath,
     NewtonSettings,
     build_model,
-    solve_equilibrium,
+    linearise,
     trace_equilibria,
 )
-from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
@@ -70,7 +68,7 @@ def from_rest(
 def frame_origin(model, lane, load):
     """Where the frame of the first body is held at a share of the load."""
     rest = jnp.zeros((model.n_points, 3))
-    there = Posed.of(model, lane).at_load(load).held_at(rest)
+    there = linearise(model, lane, rest).posed.at_load(load).held_at(rest)
     return model.positions(there)[model.mesh.n_nodes]
 
 
@@ -217,32 +215,3 @@ def test_a_path_leads_there_too():
     np.testing.assert_allclose(motion[:, 0] + MIDDLE[0], x, atol=0.01 * LENGTH)
     np.testing.assert_allclose(motion[:, 2], z, atol=0.01 * LENGTH)
     np.testing.assert_array_equal(path.n_negative, 0)
-
-
-@pytest.mark.slow
-def test_sensitivities_are_those_of_the_end():
-    """By the held pose, forward and reverse, and by differences of second order."""
-    lane, model = bent(0.75), robot()
-    node = nearest_node(model.mesh, MIDDLE)
-    start = from_rest(0.75, TIGHT).displacement
-
-    def middle(pose):
-        held = replace(lane.bodies, translation=pose[None, :3], rotation=pose[None, 3:])
-        there = replace(lane, bodies=held)
-        solution = solve_equilibrium(model, there, guess=start, settings=TIGHT)
-        return solution.displacement[node]
-
-    pose = jnp.concatenate([lane.bodies.translation[0], lane.bodies.rotation[0]])
-    forward, reverse = (
-        jax.jit(jax.jacfwd(middle))(pose),
-        jax.jit(jax.jacrev(middle))(pose),
-    )
-    np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-9)
-    along = jnp.array([0.002, 0.001, -0.002, 0.02, 0.04, 0.03])
-    run = jax.jit(middle)
-    coarse, fine = (
-        np.max(np.abs(central_difference(run, pose, along, h) - forward @ along))
-        for h in (0.2, 0.1)
-    )
-    # Second order: half the step leaves a quarter of the error.
-    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.1)

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import both_ways
 
 from softcal_jax import (
     Configuration,
@@ -32,7 +33,8 @@ def model_of(cells):
     return build_model(mesh, NeoHookean(1e5, 0.3), density=1000.0)
 
 
-MODEL = model_of((2, 1, 1))
+# The shapes of calibration/light_beam.py, for its programs.
+MODEL = model_of((3, 1, 1))
 TIP = Markers("tip", [(0.1, 0.01, 0.01)])
 POSES = [
     Configuration(name, [Support("x_min")], (0.0, 0.0, g), markers=TIP)
@@ -73,7 +75,7 @@ def test_a_solution_says_first_how_it_ended():
     assert repr(solve(BATCH[0])).startswith("EquilibriumSolution: converged; ")
     failed = solve(BATCH[2])
     assert repr(failed)[len("EquilibriumSolution: ") :][:20] in str(failed.result)
-    assert "2 of 3 converged" in repr(jax.vmap(solve)(BATCH))
+    assert "1 of 2 converged" in repr(jax.vmap(solve)(BATCH[1:]))
 
 
 def test_a_solution_that_is_traced_has_a_text():
@@ -94,8 +96,11 @@ def squares(E, lane):
 def test_a_lane_without_equilibrium_spoils_no_derivative_of_others():
     E = jnp.asarray(1e5, float)
     total = lambda E: jnp.sum(jax.vmap(squares, (None, 0))(E, BATCH))
-    reverse = jax.grad(total)(E)
-    np.testing.assert_allclose(reverse, jax.jacfwd(total)(E), rtol=1e-10)
+    one = jnp.ones(())
+    _, forward, reverse = both_ways(total)(E, one, one)
+    assert np.isfinite(forward)
+    assert forward != 0.0
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
 
 
 def test_what_converges_is_not_taken_for_nan():
@@ -136,8 +141,8 @@ def test_a_batch_is_not_solved_as_one():
 
 
 def test_a_lane_of_another_model_is_named():
-    with pytest.raises(ValueError, match="mesh with 12 nodes"):
-        solve_equilibrium(model_of((3, 1, 1)), BATCH[0])
+    with pytest.raises(ValueError, match="mesh with 16 nodes"):
+        solve_equilibrium(model_of((2, 1, 1)), BATCH[0])
 
 
 def test_a_configuration_is_not_put_on_a_mesh_that_is_traced():

@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import lane, solve
+from jax import Array
+from jaxtyping import Float
 from problems import COOK_MU, COOK_NU, COOK_RISE, cook_mesh, nearest_node
 
-from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import (
     Configuration,
     Support,

@@ -19,7 +19,7 @@ from classical_beam import (
     hanging,
 )
 from mechanisms import both_ways_at, solve
-from problems import central_difference, lane_of
+from problems import assert_second_order, lane_of
 
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import EquilibriumSolution
@@ -97,11 +97,7 @@ def test_implicit_derivative_is_second_order_against_differences(name, index):
     jvp, _ = lane.derivatives(tangent)
     assert np.max(np.abs(jvp)) > 1e-4
     values = lambda inputs: np.asarray(markers(inputs, *lane.held))
-    error = lambda h: np.max(
-        np.abs(central_difference(values, lane.inputs, tangent, h) - jvp)
-    )
-    # Second order: a third of the step leaves a ninth of the error.
-    np.testing.assert_allclose(error(3e-2) / error(1e-2), 9.0, rtol=0.05)
+    assert_second_order(values, lane.inputs, tangent, jvp, (3e-2, 1e-2))
 
 
 @pytest.mark.parametrize("name", Inputs._fields)

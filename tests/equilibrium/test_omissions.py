@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 from export.handmade import make_fit, make_result
+from problems import lane_of
 from wording import says
 
-from softcal_jax._lanes import lane_of
 from softcal_jax.actuators import Cable, ForceActuator, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
 from softcal_jax.configurations import (

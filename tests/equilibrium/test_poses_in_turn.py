@@ -3,23 +3,25 @@
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import lane
 from wording import says
 
-from softcal_jax._results import RESULTS
 from softcal_jax.actuators import Cable
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.configurations import (
     Configuration,
+    ImposedDisplacement,
     ImposedForce,
     Support,
     SurfaceForce,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import (
+    RESULTS,
     Known,
     NewtonSettings,
     Workers,
@@ -30,7 +32,11 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.equilibrium._continuation import approach, detours, distances, unloaded
 from softcal_jax.equilibrium._path import WANTED_ITERATIONS
-from softcal_jax.equilibrium._solve import without_readings
+from softcal_jax.equilibrium._solve import (
+    begin_newton,
+    continue_newton,
+    without_readings,
+)
 from softcal_jax.materials import Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
@@ -78,6 +84,24 @@ def test_the_first_one_begins_where_one_is_known():
     again = solved(GRIPPED, [bent("again", 0.02)], known=[(0, rest.displacement[0])])
     assert int(again.steps[0]) < int(rest.steps[0])
     np.testing.assert_allclose(again.displacement, rest.displacement, atol=1e-9)
+
+
+def test_a_state_of_newton_keeps_its_types():
+    """Or each call of the loop would be compiled once more."""
+    # Where lengths are imposed there is no potential, and the loop keeps more.
+    wound = {cable.name: ImposedDisplacement(1e-3) for cable in CABLES}
+    pose = Configuration("wound", "x_min", NONE, actuation=wound)
+    lanes = configuration_lanes(MESH, [pose], ACTUATED.mechanism).arrays
+    one, settings = lane(lanes, 0), NewtonSettings()
+    begin = lambda u: begin_newton(ACTUATED, settings, one, u)
+    before = jax.eval_shape(begin, jnp.zeros((ACTUATED.n_points, 3)))
+    more = lambda state, n: continue_newton(ACTUATED, settings, n, one, state)[0]
+    after = jax.eval_shape(more, before, jnp.asarray(2))
+    types = lambda state: [
+        (leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(state)
+    ]
+    assert before.iterate.merit_before is not None
+    assert types(after) == types(before)
 
 
 def test_a_far_pose_is_the_same_by_load_steps_from_rest():

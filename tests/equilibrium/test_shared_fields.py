@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import force
+from jax import Array
 from mechanisms import TIGHT, both_ways_at
 from problems import central_difference
 
@@ -25,7 +26,6 @@ from softcal_jax import (
     simulated_measurements,
     solve_equilibrium,
 )
-from softcal_jax._typing import Array
 from softcal_jax.elements import determinant
 from softcal_jax.equilibrium import tet_stresses
 from softcal_jax.fields import constants_of

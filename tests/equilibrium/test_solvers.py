@@ -23,8 +23,9 @@ from bodies import (
     solve,
     stiffness,
 )
+from jax import Array
+from jaxtyping import Float
 
-from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import (
     _solver_choice,

@@ -1,4 +1,4 @@
-"""A property that is computed once belongs to one object, and to no trace."""
+"""What a space of parameters computes once belongs to it, and to no trace."""
 
 import pickle
 
@@ -7,42 +7,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float
-from softcal_jax.fields._parameters import once
-
-CALLS = []
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.robots import anisotropic_beam
 
 
-class Scaled(eqx.Module):
-    """Counts how often it computes."""
-
-    value: Float[Array, ""]
-
-    @once
-    def twice(self):
-        """Its double."""
-        CALLS.append("twice")
-        return (2.0 * self.value,)
-
-
-def test_it_is_computed_once_for_each_object():
-    CALLS.clear()
-    one = Scaled(jnp.asarray(1.5, float))
-    assert [float(one.twice[0]) for _ in range(3)] == [3.0] * 3
-    assert len(CALLS) == 1
-    assert Scaled.twice.__doc__ == "Its double."
-    other = eqx.tree_at(lambda m: m.value, one, jnp.asarray(4.0, float))
-    assert float(other.twice[0]) == 8.0
-    assert len(jax.tree.leaves(one)) == 1
-    assert float(pickle.loads(pickle.dumps(one)).twice[0]) == 3.0
+def test_it_is_computed_once_for_each_space():
+    one = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6)])
+    leaves = jax.tree.leaves(one)
+    assert one.parameters is one.parameters
+    assert ParameterSpace.parameters.__doc__ == "The unknowns one by one."
+    assert len(jax.tree.leaves(one)) == len(leaves)
+    other = eqx.tree_at(lambda s: s.entries[0].start, one, jnp.asarray(4e5, float))
+    assert float(other.parameters[0].start) == 4e5
+    assert float(pickle.loads(pickle.dumps(one)).parameters[0].start) == 2e5
 
 
 def test_what_is_traced_is_not_kept():
-    """Neither that of a traced object, nor what a trace makes of a concrete one."""
-    one = Scaled(jnp.asarray(1.5, float))
+    """Neither that of a traced space, nor what a trace makes of a concrete one."""
+    one = anisotropic_beam(cells=(1, 1, 1), order=1).space
     with jax.checking_leaks():
-        inside = jax.jit(lambda scaled: scaled.twice[0] + one.twice[0])(one)
-    assert float(inside) == 6.0
-    assert "twice" not in vars(one)
-    np.testing.assert_array_equal(one.twice[0], 3.0)
-    assert "twice" in vars(one)
+        inside = jax.jit(lambda traced: (traced.chart.S, one.chart.S))(one)
+    assert "chart" not in vars(one)
+    for S in inside:
+        np.testing.assert_array_equal(one.chart.S, S)
+    assert "chart" in vars(one)

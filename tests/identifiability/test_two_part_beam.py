@@ -33,8 +33,7 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
-from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium import energy_and_force, gravity_load, solve_equilibrium
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import identify as identify_with
 from softcal_jax.sensitivity import energy_compliance
@@ -65,8 +64,8 @@ def solved(model, lane, z):
 def potential(model, lane, z, u):
     """Pi = strain energy - f_ext . u [J]."""
     changed = SPACE.model_at(model, z)
-    load = jnp.sum(Posed.of(changed, lane).f_ext * u)
-    return energy_and_force(changed, u)[0] - load
+    f_ext = lane.dead_loads + gravity_load(changed, lane.acceleration)
+    return energy_and_force(changed, u)[0] - jnp.sum(f_ext * u)
 
 
 def compliance(model, lane, z, u):

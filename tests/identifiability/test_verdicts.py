@@ -11,8 +11,7 @@ from wording import says
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
-from softcal_jax.identifiability._result import direction_words, information, spread_of
-from softcal_jax.inference import ErrorColumns, independent, uncertainty
+from softcal_jax.inference import independent, uncertainty
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
@@ -159,7 +158,14 @@ def test_blind_directions_that_overlap_stay_orthogonal():
 
 
 def test_words():
-    words = lambda v, names="abcdef": direction_words(np.array(v), list(names))
+
+    def words(v, names="abcdef"):
+        """Of the one direction that the data do not see."""
+        names = [name for name, _ in zip(names, v, strict=False)]
+        across = np.eye(len(v)) - np.outer(v, v) / np.dot(v, v)
+        (blind,) = judge(1e3 * across, *(modulus(name) for name in names)).blind
+        return blind.words
+
     assert words([0.0, -1.0]) == "b"
     assert words([0.1, 0.995]) == "b"  # a share of 0.01 is not named
     assert words([-0.6, 0.8]) == "b up while a down"
@@ -265,17 +271,17 @@ def test_errors_that_are_considered_widen_the_covariance():
     np.testing.assert_allclose(outlook.covariance, C + D @ D.T, rtol=1e-10)
 
 
-def test_information_is_the_inverse_of_the_covariance():
+def test_what_the_data_alone_tell_is_what_they_tell_without_a_prior():
     random = np.random.default_rng(8)
-    G, W_c = random.normal(size=(9, 3)), random.normal(size=(9, 2))
-    linear = replace(
-        independent(G, ("a", "b", "c")),
-        considered=ErrorColumns(W_c, ("loads", "nu"), ("load", "nu")),
-    )
-    F = spread_of(linear).factor
-    np.testing.assert_allclose(
-        information(linear) @ F @ F.T, np.eye(3), rtol=0, atol=1e-12
-    )
+    W, W_c = random.normal(size=(9, 3)), random.normal(size=(9, 2))
+    parameters = [modulus(name) for name in "abc"]
+    alone = judge(W, *parameters, W_c=W_c)
+    parameters[1] = replace(parameters[1], prior_std=jnp.asarray(0.5))
+    informed = judge(W, *parameters, W_c=W_c)
+    expected = [p.standard_error for p in alone.parameters]
+    data_only = [p.data_only for p in informed.parameters]
+    np.testing.assert_allclose(data_only, expected, rtol=1e-9)
+    assert informed.parameters[1].standard_error < 0.9 * expected[1]
 
 
 def test_the_principal_errors_of_a_covariance_are_the_directions():

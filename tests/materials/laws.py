@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+from jax import Array
+from jaxtyping import Float
 
-from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant
 from softcal_jax.materials import (
     AbstractLaw,

@@ -112,6 +112,30 @@ def test_outside_a_curved_mesh():
     )
 
 
+def test_around_one_tet_its_faces_edges_and_corners_are_nearest():
+    """Against a fine sampling of its faces; with mid nodes it is the same tet."""
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(4, 3))
+    if np.linalg.det(corners[1:] - corners[0]) < 0.0:
+        corners = corners[[1, 0, 2, 3]]
+    mesh, n = TetMesh(corners, [[0, 1, 2, 3]]), 100
+    points = rng.normal(scale=3.0, size=(120, 3))
+    grid = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
+    samples = np.array(grid) / n @ corners[boundary_faces(mesh)]
+    sampled, _ = KDTree(samples.reshape(-1, 3)).query(points)
+    place = locate(mesh, points, max_distance=20.0)
+    outside = place.distance > 0.0
+    gap, sampled = place.distance[outside], sampled[outside]
+    assert np.all(gap <= sampled + 1e-12)
+    spacing = np.linalg.norm(corners[:, None] - corners, axis=2).max() / n
+    assert np.all(sampled <= np.hypot(gap, spacing) + spacing)
+    homogeneous = np.vstack([place.foot[outside].T, np.ones(len(gap))])
+    of_foot = np.linalg.solve(np.vstack([corners.T, np.ones(4)]), homogeneous)
+    assert {*np.sum(of_foot > 1e-9, axis=0)} == {1, 2, 3}
+    curved = locate(to_quadratic(mesh), points, max_distance=20.0)
+    np.testing.assert_allclose(curved.distance, place.distance, rtol=0, atol=1e-7)
+
+
 def test_inside_a_bulge_beyond_every_node():
     """An edge with ends at 0 and -0.3 and mid node at -0.3 dips to -0.3375."""
     mesh = to_quadratic(TetMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]]))

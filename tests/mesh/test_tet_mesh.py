@@ -27,6 +27,15 @@ def test_unknown_group_suggests_the_near_one():
         mesh.tets_of("all")
 
 
+def test_groups_with_numbers_are_listed_in_their_order():
+    """Faces of a CAD model have numbers, and there may be many."""
+    mesh = TetMesh(POINTS, TET)
+    for number in (10, 2, 1):
+        mesh = mesh.with_surface_group(f"face {number}", [[0, 2, 1]])
+    with pytest.raises(ValueError, match="'face 1', 'face 2', 'face 10'"):
+        mesh.faces("base")
+
+
 def test_nodes_of_a_name_fall_back_on_faces_and_tets():
     mesh = TetMesh(POINTS, TET)
     mesh = mesh.with_surface_group("base", [[0, 2, 1]]).with_tet_group("body", [0])

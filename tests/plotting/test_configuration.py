@@ -8,13 +8,14 @@ from wording import says
 from softcal_jax.plotting import (
     _configuration,
     _scene,
+    choose_view,
+    motion_words,
     render_body,
     render_configuration,
     rendering_problem,
 )
-from softcal_jax.plotting._configuration import motion_words
 from softcal_jax.plotting._figure import BAD, MEASURED
-from softcal_jax.plotting._view import View, choose_view, fit_body
+from softcal_jax.plotting._view import View, fit_body
 
 pytestmark = pytest.mark.skipif(
     rendering_problem() is not None, reason=str(rendering_problem())

@@ -6,7 +6,6 @@ from matplotlib.image import imread
 
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import draw_fibres, plot_fibres
-from softcal_jax.plotting._fibres import middle_layer
 
 SIZE = (0.1, 0.02, 0.03)
 
@@ -23,31 +22,26 @@ def fibres(axes):
     return np.array(collections[-1].get_segments())
 
 
-def test_lines_lie_along_the_fibre_at_centroids():
-    mesh = beam(*SIZE, (4, 3, 3))
-    theta = np.linspace(-1.0, 1.0, len(mesh.tets))
+@pytest.mark.parametrize(
+    ("cells", "order", "layer"),
+    # With a side of the cells in the middle, it is the layer above.
+    [((4, 3, 3), 1, 1), ((4, 3, 3), 2, 1), ((4, 2, 3), 1, 1)],
+)
+def test_lines_lie_along_the_fibre_at_centroids_of_the_middle_layer(
+    cells, order, layer
+):
+    mesh = beam(*SIZE, cells, order=order)
+    theta = np.linspace(-1.0, 1.0, mesh.n_tets)
     axes, _ = drawn(mesh, theta, plane="xz")
-    lines, layer = fibres(axes), middle_layer(mesh, 1)
-    assert len(lines) == len(layer)
+    lines = fibres(axes)
+    middle = np.floor(mesh.centroids[:, 1] / SIZE[1] * cells[1]) == layer
+    assert len(lines) == middle.sum()
     along = lines[:, 1] - lines[:, 0]
     np.testing.assert_allclose(
-        np.arctan2(along[:, 1], along[:, 0]), theta[layer], atol=1e-12
+        np.arctan2(along[:, 1], along[:, 0]), theta[middle], atol=1e-12
     )
-    centroids = 1e3 * mesh.points[mesh.tets[layer, :4]].mean(axis=1)
+    centroids = 1e3 * mesh.centroids[middle]
     np.testing.assert_allclose(lines.mean(axis=1), centroids[:, [0, 2]], atol=1e-9)
-
-
-def test_the_layer_lies_in_the_middle():
-    """Three cells across: it is that of the second one, whatever the element."""
-    for order in (1, 2):
-        mesh = beam(*SIZE, (4, 3, 3), order=order)
-        heights = mesh.points[mesh.tets[middle_layer(mesh, 1), :4], 1]
-        assert heights.min() >= SIZE[1] / 3 - 1e-12
-        assert heights.max() <= 2 * SIZE[1] / 3 + 1e-12
-    # With a side of the cells in the middle, it is the layer above.
-    mesh = beam(*SIZE, (4, 2, 3))
-    heights = mesh.points[mesh.tets[middle_layer(mesh, 1), :4], 1]
-    assert heights.min() == SIZE[1] / 2
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ from matplotlib.image import imread
 
 from benchmarks._hollow import hollow_cube
 from softcal_jax.mesh import beam
-from softcal_jax.plotting import plot_groups
+from softcal_jax.plotting import choose_view, plot_groups
 from softcal_jax.plotting._configuration import _CUT, _colours, _faces, _image, _panels
-from softcal_jax.plotting._view import choose_view, fit_panel
+from softcal_jax.plotting._view import fit_panel
 
 
 def test_a_box_shows_three_sides_with_their_colours():

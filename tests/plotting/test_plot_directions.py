@@ -7,10 +7,10 @@ from matplotlib.image import imread
 
 from softcal_jax.materials import Fibre
 from softcal_jax.mesh import beam, boundary_faces, boundary_tets
-from softcal_jax.plotting import plot_directions
+from softcal_jax.plotting import choose_view, plot_directions
 from softcal_jax.plotting._fibres import _drawn
 from softcal_jax.plotting._figure import SERIES
-from softcal_jax.plotting._view import choose_view, visible_faces
+from softcal_jax.plotting._view import visible_faces
 
 SIZE = (0.02, 0.03, 0.1)
 HELIX = 0.6

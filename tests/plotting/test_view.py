@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.mesh import beam
-from softcal_jax.plotting._view import choose_view
+from softcal_jax.plotting import choose_view
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

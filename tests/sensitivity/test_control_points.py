@@ -1,7 +1,6 @@
 """Sensitivities to the values at control points, mixed in every way."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,9 +17,7 @@ from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterS
 from softcal_jax.materials import Corotational, Fibre, TransverseIsotropic
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
-    check_parameter_derivatives,
     parameter_compliance,
-    parameter_forces,
 )
 
 # Equilibria to rounding, so that differences show their own error.
@@ -89,55 +86,16 @@ def solved(z, space, model, lane):
     return solution.displacement, markers.ravel()
 
 
-def compliance(z, space, model, lane, u, method):
-    return parameter_compliance(model, lane, u, space, z, method=method).W_ep
-
-
 @pytest.fixture(scope="module")
 def at_start(body, space):
     model, lane = body
     z = space.start()
     u = solved(z, space, model, lane)[0]
-    return z, u, np.asarray(compliance(z, space, model, lane, u, "direct"))
+    return z, u, np.asarray(parameter_compliance(model, lane, u, space, z).W_ep)
 
 
 def test_names(space):
     assert space.names == NAMES
-
-
-@pytest.mark.slow
-def test_forces_by_autodiff_meet_differences_at_second_order(body, space, at_start):
-    model, lane = body
-    z, u, _ = at_start
-    check = check_parameter_derivatives(
-        model, lane, u, space, z, steps=(3e-2, 1e-2, 3e-3)
-    )
-    np.testing.assert_allclose(check.orders, 2.0, atol=0.02)
-    assert np.all(check.errors[-1] < 1e-4)
-
-
-@pytest.mark.slow  # a program of its own; every kind's in test_every_kind
-def test_direct_and_adjoint_sides_agree(body, space, at_start):
-    model, lane = body
-    z, u, direct = at_start
-    adjoint = np.asarray(compliance(z, space, model, lane, u, "adjoint"))
-    scale = np.abs(direct).max(axis=0)
-    assert np.all(scale > 1e-5)  # metres: no parameter is without effect
-    # The rounding of one solve.
-    np.testing.assert_allclose(adjoint / scale, direct / scale, rtol=0, atol=1e-9)
-
-
-forces = jax.jit(parameter_forces, static_argnames="step")
-
-
-def test_forces_by_autodiff_and_by_differences_agree(body, space, at_start):
-    model, lane = body
-    z, u, _ = at_start
-    exact = np.asarray(forces(model, lane, u, space, z))
-    difference = np.asarray(forces(model, lane, u, space, z, step=6e-6))
-    # The rounding of a difference with the step that balances it with its error.
-    scale = np.abs(exact).max(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(difference / scale, exact / scale, rtol=0, atol=1e-7)
 
 
 def test_marker_positions_meet_differences_of_the_equilibrium(body, space, at_start):

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import both_ways, lane_of
+from problems import lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
@@ -38,6 +38,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import (
+    KINDS,
     AbstractEntry,
     Parameter,
     ParameterSpace,
@@ -56,7 +57,6 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.fields._setup import KINDS, setup_parameters
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.sensitivity import (
@@ -120,6 +120,12 @@ POSE = Configuration(
 )
 PLAIN = Configuration("plain", "x_min", markers=MARKERS, measured=MARKERS.positions)
 KNOWN = {"prior_std": None}
+
+
+def factor(name, value):
+    return Parameter(name, "", value, 0.5 * value, 2.0 * value)
+
+
 SPACE = ParameterSpace(
     (
         Parameter("E", "E", 5e5, 1e5, 2e6),
@@ -127,8 +133,8 @@ SPACE = ParameterSpace(
         motor_zero("m", limit=0.2, **KNOWN),
         *mounting("base", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
         *mounting("table", (0.0, 0.0, 0.0), limit=5e-3, **KNOWN),
-        *setup_parameters(KINDS["body_mass"], "base", nominal=0.02, limit=2.0, **KNOWN),
-        *setup_parameters(KINDS["contact_scale"], nominal=0.2, limit=2.0, **KNOWN),
+        SetupParameter("body_mass", "base", [factor("mass of base", 0.02)]),
+        SetupParameter("contact_scale", "", [factor("scale of contact", 0.2)]),
         *gravity_tilt(limit=0.3, **KNOWN),
         load_factor(each=["pose", "another"], by="configuration", **KNOWN),
         load_factor("payload", **KNOWN),
@@ -212,21 +218,30 @@ def test_direct_and_adjoint_side_agree():
     assert adjoint.displacement is None
 
 
-# Twenty seconds of compiling. Every kind is compared with differences above, and other
-# files differentiate equilibria of bodies and actuators both ways.
-@pytest.mark.slow
-def test_forward_equals_reverse():
-    """Of the equilibrium itself, differentiated by JAX through every kind."""
-    z, W = point(), compliance().W_ep
-    tangent = jnp.asarray(np.random.default_rng(0).normal(size=W.shape[1]))
-    cotangent = jnp.asarray(np.random.default_rng(1).normal(size=W.shape[0]))
-    _, e_dot, pulled = both_ways(lambda z: values(z)[0])(z, tangent, cotangent)
-    np.testing.assert_allclose(
-        e_dot, W @ tangent, rtol=0, atol=1e-8 * np.abs(e_dot).max()
+def test_both_sides_know_of_a_displacement_that_is_imposed():
+    """Its rows are of the cable's own unknown, its tension, and not of forces."""
+    cable = Cable("c", [(0.03, 0.01, 0.02), (0.07, 0.01, 0.015)])
+    model = build_model(MESH, NeoHookean(5e5, 0.3), density=1e3, actuators=[cable])
+    pose = Configuration(
+        "pose",
+        "x_min",
+        markers=MARKERS,
+        measured=MARKERS.positions,
+        effectors=(ActuatorForce("tension", "c", 0.0),),
+        actuation={"c": ImposedDisplacement(1e-3)},
+        recording="tuesday",
     )
-    np.testing.assert_allclose(
-        jnp.vdot(pulled, tangent), jnp.vdot(cotangent, e_dot), rtol=1e-8
+    lane = lane_of(configuration_arrays(MESH, [pose], model.mechanism))
+    pulled = command("c", {"tuesday": 1e-3}, {"tuesday": (0.0, 2e-3)}, unit="m")
+    space = ParameterSpace((SPACE.entries[0], pulled))
+    still = jnp.zeros((model.n_points, 3))
+    direct, adjoint = (
+        parameter_compliance(model, lane, still, space, space.start(), method=method)
+        for method in ("direct", "adjoint")
     )
+    by_command = np.asarray(direct.W_ep)[:, 1]
+    assert np.count_nonzero(np.abs(by_command) > 1e-6) >= 3  # markers and the tension
+    np.testing.assert_allclose(adjoint.W_ep[:, 1], by_command, rtol=1e-8, atol=1e-12)
 
 
 def test_energy_compliance_is_symmetric_and_positive():

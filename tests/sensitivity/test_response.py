@@ -35,13 +35,14 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
-from softcal_jax.sensitivity._compliance import FEW_PARAMETERS
 from softcal_jax.unknowns import Problem
 
 TIGHT = NewtonSettings(rtol=1e-11)
 MARKERS = Markers(["tip"], [[0.1, 0.01, 0.01]])
 N_E = 3
 DENSITY = Parameter("rho", "density", 1e3, 1e2, 1e4)
+MANY = 12
+"""Parts of a body whose moduli and density are more than a direct solve takes."""
 LIFTED = Support("x_max", "z", (0.0, 0.0, 0.01))
 
 
@@ -84,7 +85,7 @@ def case(name) -> Problem:
     if name in ("plain", "KLU"):
         return plain("klu" if name == "KLU" else None)
     order = 2 if name == "mean dilatation" else 1
-    n_parts = FEW_PARAMETERS if "many parameters" in name else 2
+    n_parts = MANY if "many parameters" in name else 2
     classical = name.startswith("no potential")
     mesh = parts(beam(0.1, 0.02, 0.02, (3, 1, 1), order=order), n_parts)
     E = np.full(mesh.n_tets, 1e5)
@@ -175,7 +176,6 @@ def test_both_at_once_are_what_the_two_solves_give(name):
         pytest.importorskip("klujax", reason="not installed on this platform")
     adjoint = "many parameters" in name
     n_p = len(case(name).space.names)
-    assert (n_p > max(N_E, FEW_PARAMETERS)) == adjoint
     at_rest = respond(case(name), values(name), rest(name))
     assert at_rest.W_ep.shape == (3, N_E, n_p)
     assert (at_rest.displacement is None) == adjoint

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cheap
 import jax
+import jax.numpy as jnp
 import pytest
 from killable import kill, started, wait_for
 from rows import ends, substance
@@ -183,6 +184,34 @@ def test_workers_compute_as_this_process_does(tmp_path):
     assert [*result.numbers("sum")] == [30.0] * 3 + [55.0] * 3
     compiled = [row["compile_seconds"] > 0.0 for row in result.rows]
     assert compiled == [True, False, False] * 2
+
+
+def timed(function, folder):
+    """Wall time of one trial, and the part of it that JAX took to compile."""
+    (row,) = run_sweep(function, grid({"a": [1]}), folder, workers=0).rows
+    return row["seconds"], row["compile_seconds"]
+
+
+def test_compiling_is_told_from_the_rest(tmp_path):
+    slow_to_compile = jax.jit(lambda x: sum(jnp.sin(i * x) for i in range(200)))
+
+    def function(trial):
+        value = slow_to_compile(1.0).block_until_ready()
+        time.sleep(0.05)
+        return {"x": float(value)}
+
+    whole, compiling = timed(function, tmp_path / "first")
+    assert compiling > 0.02
+    assert whole - compiling >= 0.05
+    assert timed(function, tmp_path / "again")[1] == 0.0
+
+
+def test_nested_traces_are_counted_once(tmp_path):
+    inner = jax.jit(lambda x: sum(jnp.cos(i * x) for i in range(100)))
+    outer = jax.jit(lambda x: inner(x) + inner(2.0 * x))
+    whole, compiling = timed(lambda trial: {"x": float(outer(1.0))}, tmp_path)
+    # Were one counted twice, less than nothing would be left for solving.
+    assert 0.0 < compiling < whole + 0.01
 
 
 def test_workers_of_another_version_are_refused():

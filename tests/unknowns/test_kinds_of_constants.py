@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from export.handmade import two_elasticities
 
-from softcal_jax.calibration import CalibrationWarning
-from softcal_jax.calibration._notes import warn_if_locking
-from softcal_jax.configurations import Configuration, configuration_lanes
+from softcal_jax.calibration import CalibrationWarning, build_problem
+from softcal_jax.configurations import Configuration, Markers, configuration_lanes
 from softcal_jax.designs import Printing
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import (
@@ -145,10 +144,12 @@ def test_the_formulation_follows_from_the_declared_ratio(ratio, formulation):
 
 
 def test_locking_is_said_of_the_declared_ratio():
-    model = misnamed(order=2)
-    warn_if_locking(model, ParameterSpace((NU, OTHER, MASS)))
+    model, end = misnamed(order=2), [[0.1, 0.0, 0.0]]
+    markers = Markers(["end"], end)
+    pose = Configuration("pose", "x_min", markers=markers, measured=end)
+    build_problem(model, ParameterSpace((NU, OTHER, MASS)), pose)
     with pytest.warns(CalibrationWarning, match="'ratio' may reach E = 0.499"):
-        warn_if_locking(model, SPACE)
+        build_problem(model, SPACE, pose)
 
 
 def test_one_of_two_constants_of_a_name_is_fitted():

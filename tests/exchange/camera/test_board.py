@@ -10,9 +10,14 @@ from scipy.stats import chi2
 
 from benchmarks._photographs import board, clear_views, phone, random_views
 from benchmarks._tags import difference
-from softcal_jax.exchange.camera import _photos, read_photo, tag_corners, tag_pose
+from softcal_jax.exchange.camera import (
+    Photo,
+    _photos,
+    read_photo,
+    tag_corners,
+    tag_pose,
+)
 from softcal_jax.exchange.camera._adjustment import CameraModel, Placement
-from softcal_jax.exchange.camera._photos import Photo
 from softcal_jax.exchange.camera._sheet import opencv
 
 LENS, NOISE, SIZE = phone(), 0.05, 20e-3
