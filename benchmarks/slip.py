@@ -54,7 +54,7 @@ DEPTH = 0.01 * RADIUS
 FAR, GRADED = 16.0, 4.2
 """Size of the half-space over the contact, and its refinement towards the contact."""
 
-SCALE = 4e-3
+SCALE = 8e-3
 """Scale of contact over the depth [-]."""
 
 ASIDE, BACK = (0.3, 0.6, 0.85), (0.5, 0.1, -0.3)

@@ -18,6 +18,7 @@ from softcal_jax.configurations import (
     ConfigurationLanes,
     EffectorRecord,
     configuration_lanes,
+    following_each_other,
     rms_distance,
 )
 from softcal_jax.contact import face_size
@@ -345,9 +346,10 @@ def simulation_result(
     values = np.full(np.shape(arrays.effectors.measured), np.nan)
     # Positions are cheap enough to compute without compiling.
     compute = compiled_effectors if arrays.effectors.observed else effector_values
+    each = following_each_other([*arrays], np.asarray(solution.displacement))
     for i in np.flatnonzero(np.asarray(solution.converged)).tolist():
         states = lane_of((solution.displacement, solution.multipliers), i)
-        values[i] = np.asarray(compute(model, lane_of(arrays, i), *states))
+        values[i] = np.asarray(compute(model, each[i], *states))
     errors = values - np.asarray(arrays.effectors.measured)
     lanes = displaced(configurations, lanes, errors)
     measured = [any(e.seen.any() for e in of_lane) for of_lane in lanes.effectors]

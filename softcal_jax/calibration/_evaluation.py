@@ -142,6 +142,10 @@ def _posed(problem: Problem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
 
 
+def _end(response: Response) -> tuple[Array, Array | None]:
+    return response.equilibrium.displacement, response.displacement
+
+
 def _known(
     configurations: ConfigurationArrays, solution: EquilibriumSolution
 ) -> list[Known]:
@@ -243,10 +247,11 @@ class Evaluator:
         both = guess, guess if before is None else before
         states = dict(zip(lanes, zip(*map(unstacked, both), strict=True), strict=True))
         exact, responses = jax.device_put(precise), dict(known or {})
+        ends = {c: _end(response) for c, response in responses.items()}
         off = self.problem.deviations  # of the specimen of each lane
 
         def arguments(c: int) -> tuple:
-            lane, slopes = self._following(c, responses)
+            lane, slopes = self._following(c, ends)
             at = z if off is None else z + off[c]
             return (at, lane, *states[c], exact, slopes)
 
@@ -254,6 +259,7 @@ class Evaluator:
             now = [c for c in group if c in states]
             of_now = self.workers.map(self._program, map(arguments, now))
             responses |= zip(now, of_now, strict=True)
+            ends |= {c: _end(responses[c]) for c in now}
         return [responses[c] for c in lanes]
 
     def with_earlier(self, lanes: Sequence[int]) -> list[int]:
@@ -265,20 +271,21 @@ class Evaluator:
         return sorted(wanted)
 
     def _following(
-        self, c: int, responses: Mapping[int, Response]
+        self, c: int, ends: Mapping[int, tuple[Array, Array | None]]
     ) -> tuple[ConfigurationArrays, Float[Array, "n_p n_stages n_points 3"] | None]:
-        """Return a lane after the one it follows, and how its stages change with z."""
+        """Return a lane after the one it follows, and how its stages change with z.
+
+        `ends` are the displacements of lanes before it, and their changes [m].
+        """
         lane, p = self.lanes[c], self._earlier[c]
         if p is None:
             return lane, self._no_slopes()
-        (before, slopes), response = self._following(p, responses), responses[p]
+        (before, slopes), (u, moved) = self._following(p, ends), ends[p]
+        lane = lane.following(before, np.asarray(u))
         if slopes is None:  # nothing remembers
-            return lane.following(before, response.equilibrium.displacement), None
-        assert response.displacement is not None
-        new = np.asarray(slopes), np.asarray(response.displacement)[:, None]
-        slopes = np.concatenate(new, axis=1)[:, 1:]
-        lane = lane.following(before, np.asarray(response.equilibrium.displacement))
-        return jax.device_put((lane, slopes))
+            return lane, None
+        new = np.asarray(slopes), np.asarray(moved)[:, None]
+        return jax.device_put((lane, np.concatenate(new, axis=1)[:, 1:]))
 
     def _no_slopes(self) -> Float[Array, "n_p n_stages n_points 3"] | None:
         stages = self.lanes[0].stages
@@ -449,10 +456,19 @@ class Evaluator:
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
     ) -> EnergyCompliance:
         """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
-        program = Program(energy_compliance, self.shared.model)
-        each, space = zip(self.lanes, u, strict=True), self.shared.space
-        lanes = [(*lane, space, z) for lane in each]
-        return stacked(self.workers.map(program, lanes))
+        program, space = (
+            Program(energy_compliance, self.shared.model),
+            self.shared.space,
+        )
+        ends, done = {}, dict[int, EnergyCompliance]()
+        for group in in_order(self._earlier):
+            lanes = []
+            for c in group:
+                lane, slopes = self._following(c, ends)
+                lanes.append((lane, u[c], space, z, slopes))
+            done |= zip(group, self.workers.map(program, lanes), strict=True)
+            ends |= {c: (u[c], done[c].displacement) for c in group}
+        return stacked([done[c] for c in range(len(self.lanes))])
 
 
 def evaluate(

@@ -284,7 +284,19 @@ class ConfigurationArrays(Module):
 
         Friction remembers that, and what that had come after. Obstacles start where
         they did there.
+
+        Raises:
+            ValueError: If it is not to follow that one, or that has to follow another
+                one first.
         """
+        if not any(map(is_traced, (self.key, earlier.key))):
+            after, name, before = self.key[-1], earlier.key[0], earlier.key[-1]
+            if after != name or before:
+                what = "has to follow another one first" if before else "is another one"
+                raise ValueError(
+                    "a lane follows the one that `after` of its configuration names, "
+                    f"of a batch lanes(model, poses) of both; the one given {what}."
+                )
         key = numpy_of(self.key).asarray(self.key) * _SETTLED
         if np.shape(self.is_stage)[-1] == 0:  # nothing remembers
             return eqx.tree_at(lambda c: c.key, self, key)

@@ -13,10 +13,10 @@ from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._text import (
     UNNAMED_LOADS,
-    check_known,
     check_unique,
     listed,
     name_key,
+    suggestion,
 )
 from softcal_jax._typing import Float, HostArray, Int, is_traced
 from softcal_jax._units import readable_values
@@ -239,6 +239,7 @@ def configuration_lanes(
     names = [c.name for c in configurations]
     check_unique("configuration", names)
     n_stages = _n_stages(configurations) * any(mechanism.contacts.sticks)
+    _check_present(mechanism, configurations)
     supports = [support for c in configurations for support in c.supports]
     elastic = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
     # Those of all supports in every lane, so that lanes have one shape.
@@ -303,7 +304,8 @@ def _lane(
         actuation=actuation,
         effectors=effectors,
         stages=np.full((stages, n_points, 3), np.nan if c.after else 0.0),
-        is_stage=np.zeros(stages, bool),
+        # Until it follows another, what it remembers is nan.
+        is_stage=np.arange(stages) == (stages - 1 if c.after else -1),
     )
 
 
@@ -317,7 +319,13 @@ def _n_stages(configurations: Sequence[Configuration]) -> int:
     for name in after:
         passed, earlier = [name], after[name]
         while earlier is not None:
-            check_known(f"`after` of configuration {passed[-1]!r}", after, earlier)
+            if earlier not in after:
+                raise ValueError(
+                    f"configuration {passed[-1]!r} comes after {earlier!r}, which is "
+                    "not among those that are given: give both. What takes one "
+                    "configuration alone begins at rest: leave `after` out."
+                    f"{suggestion(earlier, [*after])}"
+                )
             if earlier in passed:
                 raise ValueError(
                     f"configuration {earlier!r} comes after itself: "
@@ -327,6 +335,23 @@ def _n_stages(configurations: Sequence[Configuration]) -> int:
             earlier = after[earlier]
         most = max(most, len(passed) - 1)
     return most
+
+
+def _check_present(
+    mechanism: Mechanism, configurations: Sequence[Configuration]
+) -> None:
+    """Raise where an obstacle comes in after a pose that others follow."""
+    named = {c.name: c for c in configurations}
+    names = zip(mechanism.contacts.names, mechanism.contacts.sticks, strict=True)
+    absent = lambda c, body: getattr(s := c.bodies.get(body, ""), "kind", s) == "absent"
+    for body in [name for name, sticks in names if sticks]:
+        for c in configurations:
+            if c.after and absent(named[c.after], body) and not absent(c, body):
+                raise ValueError(
+                    f"configuration {c.name!r} comes after {c.after!r}, in which the "
+                    f"obstacle {body!r} is absent: friction cannot tell where it was. "
+                    "Let it stand beside the body there."
+                )
 
 
 def _check_outside(

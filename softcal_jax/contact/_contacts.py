@@ -24,8 +24,8 @@ in place of its rate). Shear has no potential, so that a model with friction is 
 frame of the obstacle, and its shear by the pressure at the end. A configuration that
 begins where another ends keeps what that left: a point in touch counts its slip from
 where it stuck last, so that its shear is that of before (the return mapping of
-Wriggers, ch. 10, with one step from an equilibrium to the next). What slides back or
-turns far between two equilibria is not followed.
+Wriggers, ch. 10, with one step from an equilibrium to the next). What reverses or
+turns far within such a step is not followed.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,6 +1,6 @@
 """Equilibria of a batch, on all cores, with their progress."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -138,15 +138,7 @@ def equilibria(
             end(c, new[1])
 
     if guess is not None:
-        guesses, earlier = unstacked(guess), earlier_lanes(lanes.each)
-        for group in in_order(earlier):
-            for c in group:
-                if (p := earlier[c]) is not None:
-                    lanes.follow(c, Known(lanes.each[p], solutions[p].displacement))
-            workers.side_by_side(
-                (partial(lanes.solve, c, guesses[c]) for c in group),
-                lambda k, solution, group=group: end(group[k], solution),
-            )
+        _from_guesses(lanes, unstacked(guess), solutions, end)
     elif model.mechanism.bodies.n_bodies == 0:
         workers.side_by_side((partial(lanes.begin, c) for c in range(len(each))), tried)
         known += [Known(each[c], solutions[c].displacement) for c in solutions]
@@ -154,6 +146,26 @@ def equilibria(
     if begun:
         _from_nearest(lanes, begun, known, end, arc_length=arc_length)
     return stacked([solutions[c] for c in range(len(each))])
+
+
+def _from_guesses(
+    lanes: "_Lanes",
+    guesses: Sequence[Nodal],
+    solutions: Mapping[int, EquilibriumSolution],
+    end: Callable[[int, EquilibriumSolution], None],
+) -> None:
+    """Solve all lanes from guesses; those that follow others go after these."""
+    earlier = earlier_lanes(lanes.each)
+    for group in in_order(earlier):
+        calls: list[Callable[[], EquilibriumSolution]] = []
+        for c in group:
+            calls.append(partial(lanes.solve, c, guesses[c]))
+            if (p := earlier[c]) is not None and not solutions[p].converged:
+                calls[-1] = lanes.after(c, solutions[p])
+            elif p is not None:
+                lanes.follow(c, Known(lanes.each[p], solutions[p].displacement))
+        ended = lambda k, solution, group=group: end(group[k], solution)
+        lanes.workers.side_by_side(calls, ended)
 
 
 def _from_nearest(

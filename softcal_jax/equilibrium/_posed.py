@@ -486,7 +486,7 @@ def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
     if not is_traced(configuration.key) and np.asarray(configuration.key)[-1]:
         raise ValueError(
             "the configuration comes after another one, whose equilibrium is not "
-            "known here: solve that first, and give this one by "
+            "known here: solve that first, and make this one by "
             "lane.following(earlier_lane, solution.displacement)."
         )
     if not model.moved:

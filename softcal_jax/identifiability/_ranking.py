@@ -221,6 +221,7 @@ def _proposed(
     base = next((c for c in configurations if c.markers or c.effectors), None)
     if base is None:
         return
+    base = replace(base, after=None)  # from rest
     new = lambda name, **changes: replace(
         base, name=name, measured=None, recording=None, **changes
     )

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from softcal_jax._lanes import stacked
-from softcal_jax._text import SoftcalWarning, check_known, parse_axes
+from softcal_jax._text import SoftcalWarning, check_known, listed, parse_axes
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import (
@@ -330,8 +330,8 @@ def tet_sensitivities(
     noise per SI unit of the field.
 
     Raises:
-        ValueError: If a field does not exist, a configuration has no effectors, or one
-            of them is a force.
+        ValueError: If a field does not exist, a configuration has no effectors or
+            comes after another one, or an effector is a force.
         RuntimeError: If a configuration has no equilibrium, or a singular one.
     """
     posed = as_sequence(configurations)
@@ -339,6 +339,11 @@ def tet_sensitivities(
     for field in names:
         find_field(model, field)
     mesh, mechanism = model.mesh, model.mechanism
+    if later := [c.name for c in posed if c.after]:
+        raise ValueError(
+            f"{listed(later)} comes after another configuration, and sensitivities of "
+            "tets do not go through that: leave `after` out."
+        )
     measured = [c.measured_at_rest(mesh, mechanism) for c in posed]
     arrays, records = configuration_lanes(mesh, measured, mechanism)
     if any(e.quantity in _SEES_FORCES for of_pose in records for e in of_pose):

@@ -110,7 +110,7 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
 
     Returns:
         The mistakes, the likeliest first; none where the model does not contradict the
-        data, or no mistake explains them clearly better.
+        data, or no mistake explains them clearly better, or poses come after others.
     """
     fits = [fit for fit in result.configurations if fit.role == "calibration"]
     if not replace(result, configurations=tuple(fits)).doubts:
@@ -118,6 +118,8 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     posed = [fit.posed for fit in result.configurations]
     poses = [p for p in posed if p is not None]
     if result.noise is None or len(poses) < len(posed):
+        return ()
+    if any(p.after for p in poses):  # a change of one would change those after it
         return ()
     # With what was held out, so that the programs of the fit serve again.
     problem = build_problem(result.model, result.space, poses, result.newton)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -58,7 +59,8 @@ def plot_plan(
         # None is seen where the fibre has no stiffness.
         fibres = families[0].of_tets(mesh.n_tets) * (stiffness > 0.0)[..., None]
     shown = configurations[:MOST_PANELS]
-    lanes = configuration_lanes(mesh, shown, model.mechanism)
+    alone = [replace(c, after=None) for c in shown]
+    lanes = configuration_lanes(mesh, alone, model.mechanism)
     markers = [[p for p in rows if p.quantity == "point"] for rows in lanes.effectors]
     pictures = [
         _at_rest(model, c, lanes.arrays[k], markers[k]) for k, c in enumerate(shown)

@@ -70,11 +70,13 @@ class EnergyCompliance(NamedTuple):
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
         W_pp: H_p K^-1 H_p^T, symmetric and positive semidefinite in a stable state [J].
         ok: Whether there is an equilibrium with a regular tangent.
+        displacement: dx/dz by rows [m].
     """
 
     W_ep: Float[Array, "*batch n_e n_p"]
     W_pp: Float[Array, "*batch n_p n_p"]
     ok: Bool[Array, "*batch"]
+    displacement: Float[Array, "*batch n_p n_points 3"]
 
 
 @eqx.filter_jit
@@ -84,6 +86,7 @@ def energy_compliance(
     u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
+    slopes: Float[Array, "n_p n_stages n_points 3"] | None = None,
 ) -> EnergyCompliance:
     """Compute W_ep and W_pp = H_p K^-1 H_p^T at an equilibrium, with one factorization.
 
@@ -91,15 +94,17 @@ def energy_compliance(
     unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it. So
     W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite if K is. With m(z) =
     min_u Pi(u; z), it is the curvature of the energy lost by relaxation: W_pp =
-    d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for `parameter_compliance`.
+    d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for `parameter_compliance` and
+    `following_rows`.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
-    rows = parameter_rows(lin, space, z)
+    rows = following_rows(lin, parameter_rows(lin, space, z), slopes)
     changes = sensitivity(lin, rows, effector_values)
     W = _relaxation(lin, rows, changes, still=all(space.sets_fields))
     W_pp = 0.5 * (W + W.T)  # symmetric up to the rounding of the factorization
     ok = changes.ok & jnp.all(jnp.isfinite(W_pp)) & jnp.all(jnp.isfinite(changes.W_ep))
-    return EnergyCompliance(changes.W_ep, W_pp, ok)
+    assert changes.displacement is not None
+    return EnergyCompliance(changes.W_ep, W_pp, ok, changes.displacement)
 
 
 def _relaxation(

@@ -1,11 +1,20 @@
 """Configurations that come after others, which friction remembers."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody
-from softcal_jax.calibration import build_problem, calibrate, errors, evaluate
+from softcal_jax.calibration import (
+    Evaluator,
+    build_problem,
+    calibrate,
+    errors,
+    evaluate,
+    simulation_result,
+)
 from softcal_jax.configurations import Configuration, ContactForce
 from softcal_jax.contact import HalfSpace
 from softcal_jax.equilibrium import (
@@ -151,3 +160,41 @@ def test_a_fitted_pose_does_not_come_after_one_that_is_held_out():
     first, second, _ = synthetic_measurements(PAD, SPACE, PATH, {"E": E, NAME: MU})
     with pytest.raises(ValueError, match="'pressed', which is held out"):
         calibrate(PAD, SPACE, second, validation=[first])
+
+
+def test_a_simulation_and_identify_go_through_the_way():
+    """A cell reads the force of the obstacle, and compliances are those of a fit."""
+    batch = lanes(PAD, PATH)
+    with Workers(PAD, len(PATH)) as workers:
+        solution = equilibria(workers, PAD, batch, NewtonSettings())
+    result = simulation_result(PAD, PATH, solution)
+    for pose in result.configurations:
+        assert pose.robot is not None
+        (cell,) = pose.others
+        np.testing.assert_allclose(cell.simulated, pose.robot.contacts[0].force)
+    problem = problem_of(PAD, PATH)
+    z = problem.space.start()
+    now = evaluate(problem, z)
+    with Workers(PAD, len(PATH)) as workers:
+        evaluator = Evaluator(problem, workers)
+        of_all = evaluator.energy_compliances(z, now.equilibrium.displacement)
+    W = np.asarray(now.response.W_ep)
+    np.testing.assert_allclose(of_all.W_ep, W, atol=1e-6 * np.abs(W).max())
+
+
+def test_a_lane_without_the_one_it_follows_has_no_equilibrium():
+    first, second, third = lanes(PAD, PATH)
+    solve = jax.jit(jax.vmap(lambda lane: solve_equilibrium(PAD, lane).converged))
+    both = jax.tree.map(lambda *leaves: np.stack(leaves), first, second)
+    np.testing.assert_array_equal(solve(both), [True, False])
+    still = np.zeros((PAD.n_points, 3))
+    with pytest.raises(ValueError, match="another one first"):
+        third.following(second, still)
+    with pytest.raises(ValueError, match="is another one"):
+        third.following(first, still)
+
+
+def test_an_obstacle_does_not_come_in_where_another_pose_ended():
+    absent = replace(PATH[0], bodies={"plate": "absent"})
+    with pytest.raises(ValueError, match="'plate' is absent"):
+        lanes(PAD, [absent, PATH[1]])
