@@ -107,7 +107,7 @@ def run(options: Options) -> Outcome:
     last = first[len(ASIDE)]
     after = (ways[len(ASIDE)] - ways) / 2.0
     expected = np.where(aside, first, last - 2.0 * (1.0 - (1.0 - after) ** 1.5))
-    sticks = np.sqrt([1.0 - c.sliding for c in felt])
+    sticks = np.sqrt(1.0 - np.array([float(c.sliding) for c in felt]))
     radius_off = np.abs(sticks - (1.0 - expected) ** (1.0 / 3.0))[aside]
     off = 100.0 * np.abs(share - expected)
     figures = {

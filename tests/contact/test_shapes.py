@@ -109,5 +109,5 @@ def test_the_tangent_is_exact_however_deep(friction):
     scale = float(jnp.abs(wanted).max())
     assert scale > 0.0
     np.testing.assert_allclose(found, wanted, atol=1e-10 * scale)
-    tamed = contacts.tangents(x, standing, tamed=True)
+    tamed = contacts.tangents(x, standing, tamed=1)
     assert float(jnp.abs(tamed[0] - matrices).max()) > 1e-3 * scale / len(x)
