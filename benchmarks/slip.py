@@ -51,7 +51,7 @@ COUNTS = {"cells": 8}
 
 E, NU, MU, RADIUS = 1e5, 0.49, 0.3, 5e-3
 DEPTH = 0.01 * RADIUS
-FAR, GRADED = 16.0, 4.2
+FAR, GRADED = 16.0, 5.0
 """Size of the half-space over the contact, and its refinement towards the contact."""
 
 SCALE = 8e-3
