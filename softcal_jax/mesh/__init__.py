@@ -68,6 +68,7 @@ from softcal_jax.mesh._topology import (
     boundary_faces as boundary_faces,
     boundary_tets as boundary_tets,
     check_mesh as check_mesh,
+    connected_parts as connected_parts,
     face_areas as face_areas,
     face_indices as face_indices,
     face_products as face_products,

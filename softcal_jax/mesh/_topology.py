@@ -312,7 +312,7 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
         *_unused(mesh),
         *_bad_shapes(mesh),
         *_repeated(mesh, table),
-        *_disconnected(mesh, table, linked),
+        *_disconnected(mesh, linked),
     ]
     if problems:
         several = "\n- " if len(problems) > 1 else " "
@@ -394,11 +394,16 @@ def _repeated(mesh: TetMesh, table: SharedFaces) -> Iterator[str]:
         )
 
 
-def _disconnected(mesh: TetMesh, table: SharedFaces, linked) -> Iterator[str]:
-    tet = np.repeat(np.arange(mesh.n_tets), 4)
-    shape = (mesh.n_tets, len(table.counts))
+def connected_parts(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, " n_tets"]:
+    """Number the parts of a mesh: tets of one part are connected by shared faces."""
+    table, tet = face_table(tets), np.repeat(np.arange(len(tets)), 4)
+    shape = (len(tets), len(table.counts))
     on_face = coo_array((np.ones(len(tet)), (tet, table.inverse)), shape).tocsr()
-    _, part = connected_components(on_face @ on_face.T, directed=False)
+    return connected_components(on_face @ on_face.T, directed=False)[1]
+
+
+def _disconnected(mesh: TetMesh, linked) -> Iterator[str]:
+    part = connected_parts(mesh.tets)
     for nodes in linked:
         held = np.isin(part, part[np.isin(mesh.tets, nodes).any(axis=1)])
         part = np.where(held, part[held].min(), part)

@@ -111,7 +111,7 @@ def problem_of(model, poses):
 
 
 def test_derivatives_of_what_comes_after_another():
-    """Of calibrate, by differences and in reverse through all equilibria."""
+    """By differences of readings, for what calibrate takes as their compliance."""
     problem = problem_of(pad(), PATH)
     z = problem.space.start()
     now = evaluate(problem, z)
@@ -122,7 +122,14 @@ def test_derivatives_of_what_comes_after_another():
         slope = (e(z + h * d) - e(z - h * d)) / (2.0 * h)
         np.testing.assert_allclose(W[:, :, k], slope, atol=1e-5 * np.abs(slope).max())
     assert np.all(np.abs(W[1:, 0, 1]) > 0.01)  # of friction on what was pushed
-    whole = np.asarray(now.rows.W)
+
+
+@pytest.mark.slow  # a minute of compiling; as of any pose otherwise
+def test_errors_in_reverse_go_through_all_equilibria():
+    problem = problem_of(pad(), PATH)
+    z = problem.space.start()
+    now = evaluate(problem, z)
+    u, whole = now.equilibrium.displacement, np.asarray(now.rows.W)
     of_errors = jax.jacrev(lambda z: errors(problem, z, u))(z)
     np.testing.assert_allclose(whole, of_errors, atol=1e-7 * np.abs(whole).max())
     np.testing.assert_allclose(now.rows.error, errors(problem, z, u), rtol=1e-7)

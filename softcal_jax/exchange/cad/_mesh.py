@@ -46,6 +46,10 @@ class FillingError(ValueError):
     """A program does not fill a model; the text is what it says."""
 
 
+STRAY = 0.01
+"""Share of tets that fTetWild may leave apart from the rest, and that are left out."""
+
+
 class Filled(NamedTuple):
     """A volume filled with linear tets, in the length unit of the model.
 
@@ -238,7 +242,12 @@ def _wild_mesh(
     if file is None or not file.exists():
         made = fill("pytetwild", surface.given, size)
         tets = meshes.oriented(made.tets, made.points[made.tets])
-        mesh = meshes.TetMesh(made.points, tets)
+        part = meshes.connected_parts(tets)
+        largest = part == np.argmax(np.bincount(part))
+        if np.sum(~largest) < STRAY * len(tets):
+            used, tets = np.unique(tets[largest], return_inverse=True)
+            made = made._replace(points=made.points[used])
+        mesh = meshes.TetMesh(made.points, tets.reshape(-1, 4))
         meshes.check_mesh(mesh)
         if file is None:
             return mesh

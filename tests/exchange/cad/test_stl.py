@@ -299,11 +299,14 @@ def test_one_mesh_of_ftetwild_for_a_file_and_its_settings(tmp_path, monkeypatch)
     assert str(again[0].message) == str(said[0].message)
     np.testing.assert_array_equal(same.points, mesh.points)
     np.testing.assert_array_equal(same.tets, mesh.tets)
-    # A folder that cannot be written; and other sizes, for which another one is made.
-    filled = _mesh.Filled(mesh.points / MM, mesh.tets)
+    # Tets that are left apart go. A folder that cannot be written; and other sizes, for
+    # which another one is made.
+    far = mesh.points[mesh.tets[0]] + 1.0
+    more = np.concatenate([mesh.points, far]), len(mesh.points) + np.arange(4)[None]
+    filled = _mesh.Filled(more[0] / MM, np.concatenate([mesh.tets, more[1]]))
     monkeypatch.setattr(_mesh, "fill", lambda *_: filled)
     with pytest.warns(MeshWarning) as said:
-        make(kept_in=tmp_path / "absent")
+        assert make(kept_in=tmp_path / "absent").n_tets == mesh.n_tets
     assert says(str(said[0].message), "another mesh each time ... softcal mesh")
     assert [*tmp_path.glob("*.msh")] == [kept]
     with pytest.warns(MeshWarning):
