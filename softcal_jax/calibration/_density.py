@@ -60,7 +60,7 @@ def _earlier(problem: Problem) -> tuple[int | None, ...]:
     poses = problem.configurations
     if poses.is_stage.shape[-1] == 0:
         return (None,) * len(poses)
-    check_untraced("the problem, of which poses follow others,", poses.key, "")
+    check_untraced("the problem, of which poses follow others,", poses.after, "")
     return tuple(earlier_lanes([*poses]))
 
 

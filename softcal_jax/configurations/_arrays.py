@@ -201,9 +201,6 @@ class DeadLoads(Module):
         return xp.where(exists, along, 0.0)
 
 
-_SETTLED = np.array([1, 1, 0])  # on the key of a lane that follows an equilibrium
-
-
 class ConfigurationArrays(Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
@@ -211,8 +208,8 @@ class ConfigurationArrays(Module):
     nodes are those of the mesh, then those of the frames of the rigid bodies.
 
     Attributes:
-        key: `name_key` of the configuration, of its recording, and of the configuration
-            `after` which it comes, 0 for none: arrays hold no text.
+        key: `name_key` of the configuration and of its recording: arrays hold no text.
+        after: That of the configuration which it has to follow, 0 for none.
         fixed: Which coordinates are held.
         imposed: Their displacement, at full load [m].
         gravity: Acceleration of gravity as stated [m/s2].
@@ -224,7 +221,8 @@ class ConfigurationArrays(Module):
         is_stage: Which of them there are.
     """
 
-    key: Int[AnyArray, "*batch 3"]
+    key: Int[AnyArray, "*batch 2"]
+    after: Int[AnyArray, "*batch"]
     fixed: Bool[AnyArray, "*batch n_points 3"]
     imposed: Float[AnyArray, "*batch n_points 3"]
     springs: Springs
@@ -289,25 +287,26 @@ class ConfigurationArrays(Module):
             ValueError: If it is not to follow that one, or that has to follow another
                 one first.
         """
-        if not any(map(is_traced, (self.key, earlier.key))):
-            after, name, before = self.key[-1], earlier.key[0], earlier.key[-1]
-            if after != name or before:
-                what = "has to follow another one first" if before else "is another one"
+        if not any(map(is_traced, (self.after, earlier.key, earlier.after))):
+            if self.after != np.asarray(earlier.key)[0] or earlier.after:
+                what = "is another one"
+                if earlier.after:
+                    what = "has to follow another one first"
                 raise ValueError(
                     "a lane follows the one that `after` of its configuration names, "
                     f"of a batch lanes(model, poses) of both; the one given {what}."
                 )
-        key = numpy_of(self.key).asarray(self.key) * _SETTLED
+        none = np.zeros((), np.int64)
         if np.shape(self.is_stage)[-1] == 0:  # nothing remembers
-            return eqx.tree_at(lambda c: c.key, self, key)
+            return eqx.tree_at(lambda c: c.after, self, none)
         xp = numpy_of(displacement, earlier.stages)
         join = lambda old, new: xp.concatenate([xp.asarray(old)[1:], new[None]])
         stages = join(earlier.stages, xp.asarray(displacement))
         is_stage = join(earlier.is_stage, xp.ones((), bool))
         starts = lambda c: (c.bodies.start_translation, c.bodies.start_rotation)
-        new = *starts(earlier), stages, is_stage, key
+        new = *starts(earlier), stages, is_stage, none
         return eqx.tree_at(
-            lambda c: (*starts(c), c.stages, c.is_stage, c.key), self, new
+            lambda c: (*starts(c), c.stages, c.is_stage, c.after), self, new
         )
 
     @property
@@ -347,7 +346,8 @@ def earlier_lanes(lanes: Sequence[ConfigurationArrays]) -> list[int | None]:
     Raises:
         ValueError: If it is not among them.
     """
-    own, after = (np.array([lane.key[k] for lane in lanes]) for k in (0, 2))
+    own = np.array([np.asarray(lane.key)[0] for lane in lanes])
+    after = np.array([np.asarray(lane.after) for lane in lanes])
     earlier: list[int | None] = [None] * len(lanes)
     for c in np.flatnonzero(after).tolist():
         found = np.flatnonzero(own == after[c])

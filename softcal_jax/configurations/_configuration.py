@@ -291,9 +291,9 @@ def _lane(
     check_held(mesh, mechanism, held, kind, name=c.name, balanced=balanced)
     if c.after is None:  # else it starts where that one does
         _check_outside(mechanism, bodies, c.name)
-    of_keys = c.name, c.recording or c.name, c.after
     return ConfigurationArrays(
-        key=np.array([name_key(n) if n else 0 for n in of_keys], np.int64),
+        key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
+        after=np.array(name_key(c.after) if c.after else 0, np.int64),
         fixed=fixed,
         imposed=imposed,
         springs=_stiffened(springs, mesh, c, rest),
@@ -343,7 +343,11 @@ def _check_present(
     """Raise where an obstacle comes in after a pose that others follow."""
     named = {c.name: c for c in configurations}
     names = zip(mechanism.contacts.names, mechanism.contacts.sticks, strict=True)
-    absent = lambda c, body: getattr(s := c.bodies.get(body, ""), "kind", s) == "absent"
+
+    def absent(c: Configuration, body: str) -> bool:
+        state = c.bodies.get(body)
+        return "absent" in (state, getattr(state, "kind", ""))
+
     for body in [name for name, sticks in names if sticks]:
         for c in configurations:
             if c.after and absent(named[c.after], body) and not absent(c, body):

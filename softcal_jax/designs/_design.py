@@ -184,11 +184,9 @@ def design(
         linear = of_prints.linear.only(of_prints.linear.pose < n)
         fit = replace(of_prints, configurations=poses[:n], linear=linear)
         reached = over_specimens(design_goals(fit, printing), poses, n)
-        name, errors = (
-            "the design of least error as ordered",
-            error_of([g.effector for g in before]),
-        )
-        others = [Alternative(name, errors, expected_of(before), nominal)]
+        name = "the design of least error as ordered"
+        error = error_of([goal.effector for goal in before])
+        others = [Alternative(name, error, expected_of(before), nominal)]
     # What holds a robust design is its prints.
     missed = not robust and any(not goal.met for goal in reached)
     found = {p.name: p.value for p in fit.parameters}

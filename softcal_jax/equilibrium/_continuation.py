@@ -88,8 +88,7 @@ def distances(configurations: Sequence[ConfigurationArrays]) -> Float[HostArray,
     infinite where other coordinates are held, or actuators are imposed otherwise.
     """
     squares = np.zeros((len(configurations),) * 2)
-    others = lambda c: (c.key, *_memory(c))
-    acting = lambda c: jax.tree.leaves(eqx.tree_at(others, c, (None,) * 3))
+    acting = lambda c: jax.tree.leaves(eqx.tree_at(_own, c, (None,) * 4))
     for leaf in zip(*map(acting, configurations), strict=True):
         rows = np.stack([np.ravel(values) for values in leaf])
         rows = rows[:, np.any(rows != rows[0], axis=0)]
@@ -163,7 +162,7 @@ def detours(
     start, end = (np.asarray(c.actuation.value) for c in (a, b))
     order = np.cumsum(start != end)
     inputs = [np.where(order <= k, end, start) for k in range(1, order.max(initial=0))]
-    own = lambda c: (c.key, *_memory(c), *loads(c))
+    own = lambda c: (*_own(c), *loads(c))
     turns = [
         [eqx.tree_at(lambda c: c.actuation.value, b, value) for value in inputs],
         [eqx.tree_at(own, a, own(b))],
@@ -185,12 +184,13 @@ def _between(
         a, b = np.asarray(a), np.asarray(b)  # on the device, each shape is compiled
         return a + share * (b - a) if np.issubdtype(b.dtype, np.floating) else b
 
-    between = eqx.tree_at(_memory, jax.tree.map(blend, a, b), _memory(b))
+    between = eqx.tree_at(_own, jax.tree.map(blend, a, b), _own(b))
     return jax.device_put(between)
 
 
-def _memory(c: ConfigurationArrays):
-    return c.stages, c.is_stage
+def _own(c: ConfigurationArrays):
+    """Return what does not act: names, and what friction remembers."""
+    return c.key, c.after, c.stages, c.is_stage
 
 
 FORESEEN = 0.25

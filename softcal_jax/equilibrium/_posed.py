@@ -483,7 +483,7 @@ def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
             "lanes(model, poses)."
         )
     check_lane(model, configuration)
-    if not is_traced(configuration.key) and np.asarray(configuration.key)[-1]:
+    if not is_traced(configuration.after) and np.asarray(configuration.after):
         raise ValueError(
             "the configuration comes after another one, whose equilibrium is not "
             "known here: solve that first, and make this one by "

@@ -88,7 +88,7 @@ def mesh_cad(
     Where gmsh refuses an STL surface (holes, crossings), or its tets are flat, fTetWild
     fills it, if the package pytetwild is installed, within a thousandth of the model's
     size except over holes; a warning says how far off it is. FTetWild makes another
-    mesh each time, so it is kept.
+    mesh each time, so it is kept; a few tets that it leaves apart are left out.
 
     Round faces get 12 edges a turn or more, down to a quarter of the size. All edges
     are straight, those of quadratic tets too.
